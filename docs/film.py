@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from uavnav.envs.drawing import GROUND, INK, PILOTS, STEPS_PER_SECOND, Picture
+from uavnav.envs.drawing import GROUND, INK, STEPS_PER_SECOND, Picture
 from uavnav.views.render import Episode, Film, fly, load_layout, load_pilots, save
 
 LAYOUT, STEPS, EVERY, SPEED, WIDTH = 56, 600, 6, 4, 280
@@ -29,7 +29,7 @@ def curves(episodes: list[Episode], film: Film) -> list[Picture]:
     axes.set_ylim(min(map(min, rewards)) - 1, max(map(max, rewards)) + 1)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=colour(INK), labelsize=8)
-    lines = [axes.plot([], color=colour(PILOTS[number]), linewidth=2)[0] for number in range(len(rewards))]
+    lines = [axes.plot([], color=colour(one), linewidth=2)[0] for one in film.colours]
     pictures = []
     for step in film.steps:
         for line, own in zip(lines, rewards, strict=True):

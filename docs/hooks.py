@@ -40,6 +40,8 @@ REPORT, FIRST = "report/", "<!-- first -->"
 PARTS = ("report.html", "preview.png", "figures/*.png", "tables/*.csv")
 """What of a folder of results the site holds."""
 OF_REPORT = re.compile(r"\]\(\.\./results/(report\.html|figures/[\w-]+\.png)\)")
+ROW = re.compile(r"\]\(\.\./results/tables/(\w+)\.csv(?:#L(\d+))?\)")
+"""A number that stands in a table: a row of the report's page, where it has that row."""
 FLY, FLIES = "fly.html", "<!-- fly -->"
 """The playground's page on the site, and where a page says so."""
 
@@ -83,6 +85,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """
     root = Path(config.config_file_path).parent
     markdown = OF_REPORT.sub(rf"]({REPORT}\1)", markdown.replace(".ipynb)", ".md)"))
+    if ROW.search(markdown) and (report := root / GENERATED / "report.html").exists():
+        rows = {*re.findall(r'id="(row-\w+-\d*)"', report.read_text(encoding="utf-8"))}
+        markdown = ROW.sub(lambda number: _row(number, rows), markdown)
     if FLIES in markdown and any((root / GENERATED).rglob(POLICY)):
         markdown = markdown.replace(FLIES, f" [Fly it here]({FLY}).")
 
@@ -101,6 +106,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     return LINK.sub(path_of, markdown)
 
 
+def _row(number: re.Match[str], rows: set[str]) -> str:
+    name = f"row-{number[1]}-{number[2] or ''}"
+    return f"]({REPORT}report.html#{name})" if name in rows else number[0]
+
+
 def first_screen(report: Path) -> str:
     """The first screen of a report's page, with its looks and scripts; nothing where there is none."""
     if not report.exists():
@@ -109,7 +119,7 @@ def first_screen(report: Path) -> str:
     screen = (
         page.partition(FIRST)[2]
         .partition("<!-- end of first -->")[0]
-        .replace('href="tables/', f'href="{REPORT}tables/')
+        .replace('href="#row-', f'href="{REPORT}report.html#row-')
     )
     scripts = page.partition("</footer>")[2].partition('<script type="application/json" id="replay-data">')[0]
     return f"<style>{browser.joined([browser.HERE / 'first.css'])}</style>{screen}{scripts}"

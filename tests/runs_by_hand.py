@@ -63,6 +63,7 @@ def write_run(
         "wall_seconds": 3725.4,
         "git_commit": "c0ffee",
         "layouts": LAYOUTS,
+        "study": "by hand",
     }
     facts |= {
         "versions": {"torch": "2.13.0", "world": "1"},
@@ -150,7 +151,7 @@ def write_policies(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs
     facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_envs": 16}
     (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
     (path / "meta.json").write_text(
-        json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}})
+        json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}, "study": "by hand"})
     )
     counts = [(seed, 10, 0, 0, 10, 0, 0, 0, 90, -10.0, True, False)]
     pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(

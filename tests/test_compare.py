@@ -24,6 +24,7 @@ from uavnav.report.compare import (
     improvement,
     metrics,
     page,
+    pairs,
     seeds_of,
     spark,
     survival,
@@ -61,6 +62,21 @@ def test_a_seed_of_above_beats_one_of_below_in_eight_and_a_half_of_nine_pairs():
     assert pair["probability"] == pytest.approx(8.5 / 9)
 
 
+def test_a_single_seed_has_no_probability_and_its_interval_is_over_its_episodes_on_the_same_layouts():
+    one, other = made_up("one", [3.0]), made_up("other", [1.0])
+    one.episodes["reward"] = [3.0, 5.0]
+    pair = dict(zip(*pairs([one, other]), strict=True))
+    assert (pair["more reward"], pair["over"]) == ("3.0 [2.0, 4.0]", "2 episodes")
+    assert pair["probability of more"] == pair["Holm's p"] == "–"
+    turned = dict(zip(*pairs([other, ABOVE]), strict=True))
+    assert [turned[key] for key in ("", "against", "more reward", "over")] == [
+        "above",
+        "other",
+        "3.0 [2.0, 4.0]",
+        "3 seeds",
+    ]
+
+
 def test_episodes_that_end_at_ten_steps_are_up_until_then():
     shares = survival([ABOVE])["above"]
     assert shares[shares.index < 10].iloc[-1] == 1.0
@@ -75,12 +91,13 @@ def test_bars_go_from_the_least_to_the_most_and_a_constant_is_low():
 def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
     text([ABOVE, BELOW], Console(width=120))
     said = capsys.readouterr().out
-    assert "above has more reward than below with probability 0.94" in said
+    assert "above minus below: 2.0 [1.0, 3.0] of reward, over 3 seeds; a seed of it has more with" in said
+    assert "probability 0.94" in said
     html = page([ABOVE, BELOW]).decode()
     for row in side_by_side(seeds_of([ABOVE, BELOW])):
         assert row[0] in html
     assert html.count("<figure") == 1  # survival; nothing was trained
-    assert re.findall("<td>0.94</td>", html) == ["<td>0.94</td>"]  # the probability
+    assert re.findall(">0.94<", html) == [">0.94<"]  # the probability
     seen = said + html.partition("</style>")[2]
     assert "claim" not in seen
     assert "the paper" not in seen
@@ -112,7 +129,7 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
 def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_papers():
     drone, moving = "results/worlds/vectorised/drone/ppo/tanh", "results/worlds/vectorised/moving/ppo/tanh"
     protocol = Protocol("test", 2, 9).header()
-    flown = [compare._flown("straight", protocol, None, run).place for run in (drone, moving)]
+    flown = [compare.fly("straight", protocol, None, run).place for run in (drone, moving)]
     run, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
     assert [one["task"] for one in flown] == ["drone", "moving"]
     assert apart([run, kept]) == ""
@@ -137,7 +154,7 @@ def test_committed_runs_are_compared_without_torch():
 
 def test_a_scripts_rows_beside_a_run_are_those_that_it_flies():
     _, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
-    flown = compare._flown(
+    flown = compare.fly(
         "reactive", Protocol("test", 20, MAX_STEPS).header(), None, "results/vectorised/ppo/tanh"
     ).episodes
     mine = kept.episodes[kept.episodes["layout"] < 20].reset_index(drop=True)

@@ -14,9 +14,9 @@ from made_up import configuration, episodes
 from PIL import Image
 
 from uavnav import stats, style
+from uavnav.colours import OTHERS, PILOTS
 from uavnav.report import arena, charts, curves, figures
 from uavnav.report.configurations import BINS
-from uavnav.report.page import _embedded
 from uavnav.runs import paper
 from uavnav.runs.definitions import SAMPLED
 from uavnav.tasks.world import World
@@ -142,8 +142,8 @@ def scattered():
 
 @pytest.mark.parametrize("name", [*EXAMPLES, "scatter"])
 def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_point(name):
-    svg = style.drawing(scattered() if name == "scatter" else EXAMPLES[name]().figure)
-    full, short = (ElementTree.fromstring(text) for text in (svg, unquote(_embedded(svg))))
+    figure = scattered() if name == "scatter" else EXAMPLES[name]().figure
+    full, short = (ElementTree.fromstring(text) for text in (style.drawing(figure), by_day(figure)))
     words = [
         [text.strip() for one in tree.iter(f"{SVG}text") for text in one.itertext()] for tree in (full, short)
     ]
@@ -161,6 +161,24 @@ def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_p
     )
     assert asked
     assert asked <= {one.get("id") for one in short.iter()}
+
+
+def by_day(figure):
+    """What a page holds of a figure, with its colours by day put in."""
+    svg = unquote(style.embedded(figure))
+    for place, day in enumerate(style.NIGHT):
+        svg = svg.replace(f"var(--{place})", day)
+    return svg
+
+
+def test_every_colour_of_the_pilots_and_of_ink_is_another_by_night():
+    svg = unquote(style.embedded(EXAMPLES["survival"]().figure))
+    shown = svg.partition("</style>")[2]
+    assert re.findall(r"#[0-9a-f]{6}(?=[;'])", shown) == []
+    assert f"prefers-color-scheme:dark){{svg{{--0:{style.NIGHT['#000000']};" in svg
+    known = {one.lower() for one in (*PILOTS.values(), *OTHERS, style.INK, style.PALE, style.OBSTACLE)}
+    assert known <= {*style.NIGHT}
+    assert {*style.NIGHT.values()} & known == set()
 
 
 def places_of(element):

@@ -180,7 +180,9 @@ def test_a_run_without_a_policy_is_named_once_and_its_rows_count(results):
 @pytest.mark.usefixtures("warm")
 def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_report(results, capsys):
     (write_run(results / "broken", two(0, 1.0), lr=1.0) / "episodes.parquet").write_bytes(b"PAR1")
-    (write_run(results / "half", two(0, 1.0), lr=2.0) / "meta.json").write_text('{"status": "running"}')
+    (write_run(results / "half", two(0, 1.0), lr=2.0) / "meta.json").write_text(
+        '{"status": "running", "study": "by hand"}'
+    )
     write_run(results / "columns", two(0, 1.0).drop(columns="steps"), lr=3.0)
     write_run(results / "seeds", two(7, 1.0), lr=4.0, seed=0)
     write_run(results / "table", two(0, 1.0), lr=5.0, meta={"layouts": None})

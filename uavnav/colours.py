@@ -27,3 +27,9 @@ def colours(pilots: Iterable[str]) -> list[str]:
             others += 1
         result.append(colour)
     return result
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """A colour such as #0072B2 as red, green and blue from 0 to 255."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue

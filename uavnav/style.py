@@ -7,10 +7,12 @@ tanh (lr=0.1)`. Colours are told apart by colour-blind readers too. Letters: S s
 from __future__ import annotations
 
 import io
+import re
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import matplotlib
 import numpy as np
@@ -21,7 +23,8 @@ from matplotlib.lines import Line2D
 from matplotlib.typing import RcKeyType
 from PIL import Image
 
-from uavnav import stats
+from uavnav import colours, stats
+from uavnav.colours import PILOTS
 from uavnav.stats import Array, Interval
 
 COLOURS = {"tanh": "#0072B2", "sigmoid": "#D55E00", "relu": "#009E73", "leaky_relu": "#CC79A7"}
@@ -32,8 +35,24 @@ LINES = ("-", ":", "-.")
 INK, PALE, OBSTACLE = "#333333", "#767676", "#c8ccd2"
 CLEAR, OPEN = "#0072B2", "#D55E00"
 """Colours of what the seeds decide and of what they leave open."""
-FIRST = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of the first screen: the best algorithm, the other, the scripted policy."""
+SCRIPTED = PILOTS["reactive"]
+"""The colour of the scripted policy."""
+NIGHT = {
+    "#000000": "#e8e9e6",
+    "#333333": "#dcdedc",
+    "#545860": "#a3abb5",
+    "#767676": "#a3abb5",
+    "#b0b0b0": "#7d858f",
+    "#c8ccd2": "#4c5560",
+    "#ffffff": "#1c2026",
+    "#0072b2": "#4a9fe0",
+    "#d55e00": "#ff9a5c",
+    "#009e73": "#4fd0a4",
+    "#cc79a7": "#e59cc6",
+    "#e69f00": "#f2b83a",
+    "#56b4e9": "#a9dcff",
+}
+"""Colours of a figure by day, and what they are on a dark page."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 """The look of a line that no configuration drew."""
 RULE = "scripted policy"
@@ -92,6 +111,51 @@ def drawing(figure: Figure) -> bytes:
             figure.set_layout_engine(None)  # laid out once: a second time would move things by a hair
         figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     return svg.getvalue()
+
+
+_PLACES, _NEEDLESS = re.compile(rb' (?:d|x|y)="[^"]*"'), re.compile(rb"(\.\d\d)\d+|(?<=[MLCQ]) ")
+_COLOUR = re.compile(rb"#[0-9a-f]{6}(?=[;'\"])")
+
+
+def _grouped(marks: re.Match[bytes]) -> bytes:
+    """Marks of one style, which their group has once."""
+    style = marks[2]
+    if b"opacity" in style.replace(b"-opacity", b""):  # a group fades as one
+        return marks[0]
+    return b"<g " + style + b">" + marks[0].replace(b" " + style, b"") + b"</g>"
+
+
+_SHORTER: dict[bytes, bytes | Callable[[re.Match[bytes]], bytes]] = {
+    rb"\s*\n\s*": b"",
+    rb' id="(?!C[0-9a-f]+_)[\w.]+_\d+"': b"",  # marks of a scatter are asked for by such a name
+    rb' transform="rotate\(-0 [^"]*"': b"",
+    rb"font-family: 'DejaVu[^;\"]*(?:; )?": b"",
+    rb'<style type="text/css">\*\{': b"<style>*{font-family: 'DejaVu Sans', Verdana, Arial, sans-serif; ",
+    rb"([:;]) (?=[^<>]*>)": rb"\1",
+    rb'="([^"\']*)"': rb"='\1'",
+    # a group of nothing but its parts
+    rb"<g>((?:<(?!g\b|defs)[^<>]*/>|<text[^<>]*>[^<>]*</text>)*)</g>|<g/>": rb"\1",
+    rb"(<use [^<>]*) (style='[^']*')/>(?:<use [^<>]* \2/>)+": _grouped,
+}
+"""What of matplotlib's SVG a page does without or writes shorter, in this order."""
+
+
+def embedded(figure: Figure) -> str:
+    """A drawing as an address in a page holds it, by day and by night as the page is.
+
+    Places are to a hundredth of a point, and nothing is in it that is not drawn.
+    """
+    svg = _PLACES.sub(lambda found: _NEEDLESS.sub(rb"\1", found[0]), drawing(figure))
+    for pattern, instead in _SHORTER.items():
+        svg = re.sub(pattern, instead, svg)
+    names = {day.encode(): f"var(--{place})".encode() for place, day in enumerate(NIGHT)}
+    svg = _COLOUR.sub(lambda found: names.get(found[0], found[0]), svg[svg.index(b"<svg") :])
+    day, night = (
+        "".join(f"--{place}:{one};" for place, one in enumerate(of_time))
+        for of_time in (NIGHT, NIGHT.values())
+    )
+    looks = f"<style>svg{{{day}fill:var(--0)}}@media(prefers-color-scheme:dark){{svg{{{night}}}}}"
+    return quote(svg.replace(b"<style>", looks.encode(), 1), safe="/:;=,'()!*+$@?")
 
 
 def panel(title: str, height: float = 5.0, width: float = WIDTH) -> tuple[Figure, Axes]:
@@ -160,6 +224,22 @@ def looks(activations: Iterable[str]) -> list[tuple[str, str]]:
         result.append((colours[name], LINES[drawn[name] % len(LINES)]))
         drawn[name] += 1
     return result
+
+
+def of_pilots(pilots: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """A colour and a line for each label, by who flies (`colours`); a colour that comes again has another
+    line.
+    """
+    found, drawn = {}, Counter[str]()
+    for label, colour in zip(pilots, colours.colours(pilots.values()), strict=True):
+        found[label] = colour, LINES[drawn[colour] % len(LINES)]
+        drawn[colour] += 1
+    return found
+
+
+def of_pilot(label: str) -> str:
+    """The colour of an algorithm, by a label that begins with it, or of the scripted policy."""
+    return SCRIPTED if label == RULE else PILOTS.get(label.split()[0].lower(), colours.OTHERS[0])
 
 
 def coloured(labels: Iterable[str]) -> list[tuple[str, tuple[str, str]]]:

@@ -380,12 +380,18 @@ def _compare(parser: Parser) -> None:
 
 
 def _report(parser: Parser) -> None:
-    """Write report.html: verdicts on the paper's claims, its tables beside ours, figures, replays."""
-    parser.epilog = "example: uavnav report runs --out report"
+    """Write report.html: your runs beside the scripted policy, or the paper's claims, figures, replays."""
+    parser.epilog = "example: uavnav report runs --watch"
     parser.add_argument(
-        "folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)"
+        "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs, or results where there is none)"
     )
-    parser.add_argument("--out", metavar="DIR", help="where the report goes (default: the first FOLDER)")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        help="where the report goes (default: the first FOLDER; without one runs, or report where only"
+        " results is there)",
+    )
+    parser.add_argument("--watch", action="store_true", help="renew the page while runs train, until Ctrl-C")
     _plugins(parser)
 
 

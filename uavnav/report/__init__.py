@@ -1,4 +1,5 @@
-"""From run folders to a report: verdicts on the paper's claims, tables, figures, replays, methods.
+"""From run folders to a report: one's own runs beside the scripted policy, and the paper's study: verdicts on
+its claims, tables, figures, replays, methods.
 
 `python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/. It
 reads the rows that runs left, and lets their policies fly a little; nothing here trains.
@@ -6,12 +7,16 @@ reads the rows that runs left, and lets their policies fly a little; nothing her
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from uavnav import files
+from uavnav.runs import run_folders
 from uavnav.runs.tables import RunError
+
+RUNS, RESULTS, OUT = "runs", "results", "report"
+"""Folders of one's own runs, of the committed ones, and of a report on these that nobody asked to renew."""
 
 
 class Written(NamedTuple):
@@ -19,28 +24,67 @@ class Written(NamedTuple):
 
     path: Path
     left_out: list[str]
+    running: bool = False  # a run of one's own trains
 
 
-def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None = None) -> Written:
-    """Write the report on all runs in some folders; `out` is the first of them by default.
+def places(folders: Sequence[str | Path], out: str | Path | None) -> tuple[list[Path], Path]:
+    """The folders that a report reads, and where it goes.
+
+    Without folders: `runs`, if there is one, and the report goes into it; else `results`, and the report goes
+    to `report`, for `results` is committed.
+    """
+    if folders:
+        found = [Path(folder) for folder in folders]
+        return found, found[0] if out is None else Path(out)
+    committed = Path(RESULTS).is_dir() and not Path(RUNS).is_dir()
+    usual = Path(OUT if committed else RUNS)
+    return [Path(RESULTS if committed else RUNS)], usual if out is None else Path(out)
+
+
+def report(
+    folders: Sequence[str | Path] = (),
+    out: str | Path | None = None,
+    tell: Callable[[str], None] = lambda step: None,
+    watched: bool = False,
+) -> Written:
+    """Write the report on all runs in some folders; without folders and `out` as `places` says.
+
+    tell: is told each step of the work; watched: the page renews itself.
 
     Raises:
         RunError: a folder is missing or holds no run, no run can be used, or `out` cannot be written: nothing
             is.
     """
-    from uavnav.report.content import gather  # which flies, and so loads torch
-    from uavnav.report.page import contents
+    read, where = places(folders, out)
+    try:
+        files.check_out(where / "report.html")  # before the work
+    except ValueError as error:
+        raise RunError(str(error)) from error
+    for folder in read:
+        run_folders(folder)
+    tell("loading PyTorch")
+    from uavnav.report import mine, page  # which fly, and so load torch
+    from uavnav.report.configurations import collect
+    from uavnav.report.content import gather
     from uavnav.views.replays import record_apart
 
-    if out is not None:
-        try:
-            files.check_out(Path(out) / "report.html")  # before the work
-        except ValueError as error:
-            raise RunError(str(error)) from error
-    content = gather([Path(folder) for folder in folders], record_apart)
-    out = Path(folders[0] if out is None else out)
-    _write_all(out, contents(content, Path(folders[0])))
-    return Written(out / "report.html", content.left_out)
+    tell("reading runs")
+    begun = mine.unfinished(read)
+    try:
+        found = collect(read)
+    except RunError:
+        if not begun:
+            raise
+        found = [], []
+    own = mine.gather(found[0], begun, read, where, tell)
+    left_out = [line for line in found[1] if not line.startswith(tuple(f"{path}:" for path in begun))]
+    if own is not None and own.claims:
+        _write_all(where, mine.contents(own, left_out, watched))
+        return Written(where / "report.html", [*left_out, *own.left_out], own.running)
+    content = gather(read, record_apart, (found[0], left_out), tell)
+    tell("writing the page")
+    _write_all(where, page.contents(content, read[0], own, watched))
+    return Written(where / "report.html", content.left_out, own is not None and own.running)
 
 
 def _write_all(out: Path, contents: Mapping[str, bytes]) -> None:

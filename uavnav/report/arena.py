@@ -113,7 +113,7 @@ def preview(
     for place, (name, path) in enumerate(paths.items()):
         axes = figure.add_axes((0.03 + 0.32 * place, 0.06, 0.3, 0.52))
         _arena(axes, obstacles, world)
-        colour = style.FIRST[place % len(style.FIRST)]
+        colour = style.of_pilot(name)
         axes.plot(*path.T, color=colour, linewidth=2.5)
         shade = 0.35 if name in collided else 1.0
         axes.add_patch(Circle(tuple(path[-1]), world.drone_radius, facecolor=colour, alpha=shade, zorder=3))
@@ -144,7 +144,7 @@ def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDT
         )
         axes.plot(*world.start, "^", color="white", markeredgecolor=style.INK, markersize=7)
         axes.grid(visible=False)
-        axes.set(xticks=[0, world.width // 2, world.width], yticks=[0, world.height // 2, world.height])
+        axes.set(xticks=range(0, world.width, world.width // 4), yticks=[0, world.height // 2, world.height])
         axes.set(title=name, xlabel="x [px]")
         ordered = np.sort(np.nan_to_num(share), axis=None)[::-1].cumsum()
         half = (int(np.searchsorted(ordered, ordered[-1] / 2 - 1e-9)) + 1) / share.size
@@ -154,7 +154,8 @@ def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDT
     label = (
         f"share of steps in {world.width / across:.0f} x {world.height / rows:.0f} px (triangle: the start)"
     )
-    look: dict[str, Any] = {"location": "bottom", "fraction": 0.05, "aspect": 50, "ticks": MaxNLocator(5)}
+    ticks = MaxNLocator(5 if width >= style.WIDTH else 3)
+    look: dict[str, Any] = {"location": "bottom", "fraction": 0.05, "aspect": 50, "ticks": ticks}
     figure.colorbar(image, ax=panels, label=label, format=PercentFormatter(1.0), **look)
     return style.Drawn(
         figure, f"{title}: half of the steps fall into this share of the window: {', '.join(said)}."

@@ -16,7 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from uavnav import stats, style
 from uavnav.report.frames import MEASURES
@@ -81,31 +81,36 @@ def intervals(
 
 @matplotlib.rc_context(style.STYLE)
 def episodes(
-    rows: Mapping[str, tuple[Array, Interval]], rule: float, axis: str, width: float = style.WIDTH
+    rows: Mapping[str, tuple[Array, Interval]],
+    looks: Mapping[str, tuple[str, str]],
+    rule: float,
+    axis: str,
+    width: float = style.WIDTH,
 ) -> style.Drawn:
-    """What the rule and the configurations reach on test episodes: a row each, the best first, with its
+    """What the scripted policy and others reach on test episodes: a row each, the best first, with its
     number.
 
-    rows: label -> seeds [S] and their mean; rule: what the scripted policy reaches; axis: the metric in
-        words;
-    width: [inches].
+    rows: label -> one number a seed, or an episode, [S], and their mean; looks: label -> a colour and a line;
+    rule: what the scripted policy reaches; axis: the metric in words; width: [inches].
     """
     if not rows:
         return style.nothing(axis)
-    order = sorted(rows, key=lambda name: -rows[name][1].value)
-    groups = list(dict.fromkeys(style.parts(name)[0] for name in order))
-    figure = Figure(figsize=(width, 0.24 * (len(order) + 1) + 0.55), layout="constrained")
+    values = {name: found.value for name, (_, found) in rows.items()}
+    values |= {style.RULE: rule} if np.isfinite(rule) else {}
+    order = sorted(values, key=lambda name: -values[name])
+    small = max(map(abs, values.values())) < 100
+    figure = Figure(figsize=(width, 0.24 * (len(rows) + 1) + 0.55), layout="constrained")
     axes, named, said = figure.subplots(), [], []
-    if np.isfinite(rule):
-        axes.axvline(rule, **style.DASHED | {"color": style.FIRST[-1]})
-        axes.plot(rule, 0, "D", color=style.FIRST[-1], markersize=8)
-        named.append(f"{style.RULE}  {rule:,.0f}")
-        said.append(f"{style.RULE} {style.number(rule)}")
-    for name in order:
-        colour = style.FIRST[groups.index(style.parts(name)[0]) % 2]
-        found = style.row_of_seeds(axes, len(named), rows[name][0], colour, rows[name][1])
-        named.append(f"{name.replace('_', ' ')}  {found.value:,.0f}")
-        said.append(f"{name} {style.said(found)}")
+    for row, name in enumerate(order):
+        shown = style.number(values[name]) if small else f"{values[name]:,.0f}"
+        named.append(f"{name.replace('_', ' ')}  {shown}")
+        if name == style.RULE:
+            axes.axvline(rule, **style.DASHED | {"color": style.SCRIPTED})
+            axes.plot(rule, row, "D", color=style.SCRIPTED, markersize=8)
+            said.append(f"{style.RULE} {style.number(rule)}")
+        else:
+            found = style.row_of_seeds(axes, row, rows[name][0], looks[name][0], rows[name][1])
+            said.append(f"{name} {style.said(found)}")
     style.name_rows(axes, named)
     axes.set_xlabel(axis)
     return style.Drawn(figure, f"{axis}: {'; '.join(said)}.")
@@ -232,7 +237,8 @@ def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             axes.plot(row["value"], names.index(str(name)), "o", color=look["color"], markersize=7)
         axes.set_title(textwrap.fill(conclusion, 14 if width >= style.WIDTH else 18))
         axes.set_xlabel("difference\nin mean reward")
-        axes.xaxis.set_major_locator(MaxNLocator(3))
+        axes.xaxis.set_major_locator(MaxNLocator(2))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         if usual is not None:
             others = rows.drop(index="default")
             same = int((np.sign(others["value"]) == np.sign(usual["value"])).sum())

@@ -5,17 +5,13 @@ What flies or loads a policy is imported where it is needed: rows of runs are co
 
 from __future__ import annotations
 
-import base64
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jinja2
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
@@ -41,6 +37,8 @@ MARKS = (100, 1_000, 10_000)
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
 """Fields of a world that are the drone's own: neither layouts nor rewards depend on them."""
 BARS = "▁▂▃▄▅▆▇█"
+WIDTHS = style.WIDTH, style.NARROW
+"""Of a figure on a page and on a phone."""
 
 
 class Contender(NamedTuple):
@@ -51,6 +49,7 @@ class Contender(NamedTuple):
     protocol: Mapping[str, Any]  # how they were flown
     place: Mapping[str, Any]  # and where: `task`, `reward` and fields of the world
     configuration: Configuration | None  # a run's training; None for what was not trained here
+    pilot: str = ""  # an algorithm's or a scripted policy's name, for its colour
 
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
@@ -69,8 +68,8 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     for name in names:
         rows = _kept(name, protocol, first) if name in SCRIPTS and first is not None else None
         usual = _place("drone", "eq14", World().model_dump())
-        kept = Contender(name, rows, protocol, usual, None) if rows is not None else None
-        found.append(runs.get(name) or kept or _flown(name, protocol, activation, first))
+        kept = Contender(name, rows, protocol, usual, None, name) if rows is not None else None
+        found.append(runs.get(name) or kept or fly(name, protocol, activation, first))
     return found
 
 
@@ -82,12 +81,14 @@ def _scripted(run: str | None) -> WrappedTask:
     path = Path(run or "") / "config.yaml"
     settings = read_settings(path) if run is not None and path.exists() else {}
     name = settings.get("task", "drone")
-    if name == "drone":
+    if not settings:
         return make_task(EMPTY)
     if name not in TASKS:
         noted = read_settings(path.with_name("meta.json")).get("plugins", {})
         raise RunError(f"{path}: task={name}{plugins.missing(noted) or did_you_mean(name, TASKS)}")
-    return make_task(EMPTY, settings["world"], settings["reward"], task=name)
+    return make_task(
+        EMPTY, settings.get("world"), settings.get("reward"), task=name, faults=settings.get("faults")
+    )
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:
@@ -121,19 +122,24 @@ def _of_run(name: str) -> Contender:
         from uavnav.evaluation import evaluate_run
 
         rows = evaluate_run(run)
+    return trained(name, configurations.read(Path(name)), rows)
+
+
+def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) -> Contender:
+    """A run with its sampled test episodes, if it has any, and how they were flown."""
+    own = configuration.settings
+    world = {key.removeprefix("world."): value for key, value in own.items() if key.startswith("world.")}
+    place = _place(own["task"], own["reward"], world)
+    if rows is None:
+        return Contender(name, configurations.EMPTY, {}, place, configuration, configuration.algorithm)
     protocol = {key: rows.attrs.get(key, value) for key, value in Protocol().header().items()}
-    configuration = configurations.read(Path(name))
-    world = {
-        key.removeprefix("world."): value
-        for key, value in configuration.settings.items()
-        if key.startswith("world.")
-    }
-    place = _place(configuration.settings["task"], configuration.settings["reward"], world)
-    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, place, configuration)
+    sampled = rows[rows["mode"] == MODE].drop(columns="mode")
+    return Contender(name, sampled, protocol, place, configuration, configuration.algorithm)
 
 
-def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
-    from uavnav.evaluation import fly, on
+def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
+    """The episodes of what is no run, flown now; run: in whose world a scripted policy flies."""
+    from uavnav import evaluation
     from uavnav.runs import policies
     from uavnav.runs.policies import Policy
     from uavnav.tasks.baselines import BASELINES, suited
@@ -148,12 +154,14 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
     else:
         population = policies.load_policies(name, greedy=False)
     first = next(iter(population.values()))
-    task = on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
+    task = evaluation.on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
     n = len(task.layouts) * len(population)
     with machine.use_threads(1), display.episodes(name, n, protocol["max_steps"]) as tell:
         population = {seed: suited(policy, task) for seed, policy in population.items()}
         place = _place(name_of(task), task.reward, task.world.model_dump())
-        return Contender(name, fly(population, task, tell).episodes, protocol, place, None)
+        pilot = first.algorithm if isinstance(first, Policy) else name
+        flown = evaluation.fly(population, task, tell).episodes
+        return Contender(name, flown, protocol, place, None, pilot)
 
 
 def check(contenders: Sequence[Contender]) -> None:
@@ -194,6 +202,43 @@ def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:
             found = stats.interval(table[metric].dropna().to_numpy())
             rows.append((name, metric, found.n, found.value, found.low, found.high))
     return pd.DataFrame(rows, columns=["name", "metric", "n", "mean", "low", "high"])
+
+
+def of_episodes(values: pd.Series, seeds: pd.Series) -> tuple[stats.Interval, str]:
+    """A mean of episodes with its 95 % interval over seeds, or over the episodes of one seed; and which."""
+    means = values.groupby(seeds).mean()
+    over = "seeds" if len(means) > 1 else "episodes"
+    return stats.interval((means if len(means) > 1 else values).to_numpy(np.float64)), over
+
+
+def ahead(one: Contender, other: Contender) -> tuple[stats.Interval, str]:
+    """How much more reward one earns on the same layouts; the interval as of `of_episodes`.
+
+    The other is taken as it is: the mean of its seeds on each layout.
+    """
+    theirs = other.episodes.groupby("layout")["reward"].mean()
+    gaps = (one.episodes["reward"] - one.episodes["layout"].map(theirs)).dropna()
+    return of_episodes(gaps, one.episodes["seed"])
+
+
+def pairs(contenders: Sequence[Contender]) -> tables.Rows:
+    """Each pair: how much more reward one earns, and how probably a seed of one beats one of the other.
+
+    A single seed has no such probability.
+    """
+    rows = [["", "against", "more reward", "over", "probability of more", "Holm's p"]]
+    by_name = {one.name: one for one in contenders}
+    for pair in improvement(contenders).to_dict("records"):
+        a, b = by_name[pair["a"]], by_name[pair["b"]]
+        if pair["n_a"] < 2 <= pair["n_b"]:
+            a, b = b, a  # the interval is over the seeds of the one that has several
+        more, over = ahead(a, b)
+        known = min(pair["n_a"], pair["n_b"]) > 1
+        probability = f"{pair['probability']:.2f}" if known else tables.NOTHING
+        p = tables.number(pair["p_holm"], 3) if known else tables.NOTHING
+        shown = tables.with_interval(*more[:3], 0 if abs(more.value) >= 100 else 1)
+        rows.append([a.name, b.name, shown, f"{more.n} {over}", probability, p])
+    return rows
 
 
 def survival(contenders: Sequence[Contender]) -> dict[str, pd.Series[float]]:
@@ -252,11 +297,9 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     for name, shares in survival(contenders).items():
         up.add_row(name, *(f"{100 * float(shares[shares.index < mark].iloc[-1]):.0f}" for mark in marks))
     console.print(up)
-    for pair in improvement(contenders).to_dict("records"):
-        p = f", p = {pair['p_holm']:.2g} (Holm)" if np.isfinite(pair["p_holm"]) else ""
-        console.print(
-            f"{pair['a']} has more reward than {pair['b']} with probability {pair['probability']:.2f}{p}"
-        )
+    for a, b, more, over, probability, p in pairs(contenders)[1:]:
+        beats = f"; a seed of it has more with probability {probability}, p = {p} (Holm)"
+        console.print(f"{a} minus {b}: {more} of reward, over {over}{beats * (p != tables.NOTHING)}")
     for one in contenders:
         if one.configuration is not None:
             line = curves.learning(one.configuration, "reward")["mean"]
@@ -266,33 +309,41 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
 
 def page(contenders: Sequence[Contender]) -> bytes:
     """The same as one file of HTML, with figures, and episodes of one seed of each run."""
-    from uavnav.views import browser, replays
+    from uavnav.report import templating
+    from uavnav.views import replays
 
-    trained = {one.name: one.configuration for one in contenders if one.configuration is not None}
-    drawn = [curves.survival(survival(contenders), contenders[0].protocol["max_steps"])]
-    drawn += [curves.curves(trained, "reward", {})] if trained else []
+    learned = {one.name: one.configuration for one in contenders if one.configuration is not None}
+    looks = style.of_pilots({one.name: one.pilot for one in contenders})
     shown = [
-        replays.Trained(configuration.algorithm, f"({name})", configuration.runs)
-        for name, configuration in trained.items()
+        replays.Trained(one.algorithm, f"({name})", one.runs, colour=looks[name][0])
+        for name, one in learned.items()
     ]
     recorded = replays.record(shown, n_seeds=1)
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("uavnav.report"), autoescape=True)
-    page = environment.get_template("compare.html").render(
+    kept = survival(contenders), contenders[0].protocol["max_steps"]
+    figures = {"survival": [curves.survival(*kept, width, looks) for width in WIDTHS]}
+    if learned:
+        figures["curves"] = [
+            curves.curves(learned, "reward", {}, width=width, looks={name: looks[name] for name in learned})
+            for width in WIDTHS
+        ]
+    page = templating.page(
+        "compare.html",
+        {},
         names=[one.name for one in contenders],
         flown=flown(contenders),
         apart=apart(contenders),
         tables={
-            "Means over seeds, with their 95 % intervals": tables.side_by_side(seeds_of(contenders)),
-            "How probably a seed of one has more reward than a seed of another: Mann-Whitney, Holm": (
-                tables.listed(improvement(contenders), tables.IMPROVEMENT)
-            ),
+            "Means over seeds, with their 95 % intervals": [
+                list(row) for row in zip(*tables.side_by_side(seeds_of(contenders)), strict=True)
+            ],
+            "Reward of a test episode on the same layouts: the difference with its 95 % interval; by"
+            " Mann-Whitney, Holm, how probably a seed has more than a seed of another": pairs(contenders),
         },
-        pictures=[(base64.b64encode(style.save(one.figure)[0]).decode(), one.alt) for one in drawn],
-        replays=Markup(json.dumps(recorded, separators=(",", ":")).replace("<", "\\u003c"))
-        if recorded["configurations"]
-        else "",
+        pictures=[
+            (name, drawn[0].alt, [templating.source(one.figure) for one in drawn])
+            for name, drawn in figures.items()
+        ],
+        recorded=recorded if recorded["configurations"] else None,
         left_out=recorded["left_out"],
-        css=Markup(browser.joined([browser.HERE / "replay.css"])),
-        js=Markup(browser.joined(browser.PLAYER)),
     )
     return page.encode()

@@ -65,6 +65,10 @@ class Configuration:
         """The study that its first run names, if it is of one."""
         return str(self.runs[0].meta.get("study", ""))
 
+    @property
+    def n_seeds(self) -> int:
+        return sum(len(run.seeds) for run in self.runs)
+
 
 def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     """The configurations of all runs in some folders, and one line for each run or table that is of no use.
@@ -137,7 +141,7 @@ def read(path: Path) -> Configuration:
     return Configuration(
         run.algorithm,
         run.config["activation"],
-        settings_of(run),
+        settings_of(run.config, run.meta, run.frames),
         [run],
         _checked(run, "episodes", run.episodes),
         EMPTY if evaluation is None else _checked(run, "evaluation", evaluation),
@@ -156,20 +160,20 @@ def _protocol(run: Run, rows: pd.DataFrame) -> str:
     return read + (f"; not read: {', '.join(others)}" if others else "")
 
 
-def settings_of(run: Run) -> dict[str, Any]:
+def settings_of(config: Mapping[str, Any], meta: Mapping[str, Any], frames: int) -> dict[str, Any]:
     """All that a run's episodes depend on, except algorithm, activation and seeds.
 
     A field of the world is `world.<field>`. A layout file is its checksum, whatever path led to it.
     """
-    config = {"layouts": "train"} | flat(run.config)
-    all_layouts, layouts = run.meta["layouts"], str(config.pop("layouts"))
+    own = {"layouts": "train"} | flat(config)
+    all_layouts, layouts = meta.get("layouts", {}), str(own.pop("layouts"))
     facts = {
-        "frames": run.frames,
+        "frames": frames,
         "obstacles": all_layouts.get("k", "not known"),
         "layouts": all_layouts.get("sha256", layouts),
-        "world.version": run.meta["versions"].get("world", "not known"),
+        "world.version": meta.get("versions", {}).get("world", "not known"),
     }
-    return {key: value for key, value in config.items() if key not in NO_SETTINGS} | facts
+    return {key: value for key, value in own.items() if key not in NO_SETTINGS} | facts
 
 
 def _checked(run: Run, name: str, rows: pd.DataFrame) -> pd.DataFrame:

@@ -104,16 +104,20 @@ class Content:
 
 
 def gather(
-    folders: Sequence[Path], fly: Callable[[Sequence[replays.Trained]], dict[str, Any]] = replays.record
+    folders: Sequence[Path],
+    fly: Callable[[Sequence[replays.Trained]], dict[str, Any]] = replays.record,
+    found: tuple[list[Configuration], list[str]] | None = None,
+    tell: Callable[[str], None] = lambda step: None,
 ) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
 
-    fly: what gives the replays of some configurations.
+    fly: what gives the replays of some configurations; found: what `collect` gave, if it was asked; tell: is
+        told each step of the work.
 
     Raises:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
-    configurations, left_out = collect(folders)
+    configurations, left_out = found or collect(folders)
     sorted_configurations = studies.sort(configurations)
     left_out += studies.in_none(sorted_configurations)
     of_paper = studies.paper_configurations(sorted_configurations.main)
@@ -128,6 +132,7 @@ def gather(
         ThreadPoolExecutor(1) as beside,
     ):
         replayed = beside.submit(fly, flying)
+        tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(sorted_configurations)
         baselines, unread = frames.baselines(folders)
         tuned, winners, untuned = tuning.read(folders, baselines)
@@ -135,6 +140,7 @@ def gather(
             definition: Rows(sorted_configurations, definition, episodes, by_layout, winners)
             for definition in DEFINITIONS
         }
+        tell("judging the claims")
         audits, errs = {}, []
         for column, definition in COLUMNS.items():
             printed = functools.partial(studies.of_paper, definition=definition)
@@ -145,6 +151,7 @@ def gather(
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
         carried = frames.carried(sorted_configurations, evidence[PRIMARY])
+        tell("working out tables")
         numbers = _tables(sorted_configurations, episodes) | {
             "whys": whys.table(evidence[PRIMARY]),
             "overestimation": overestimated,
@@ -176,10 +183,12 @@ def gather(
             left_out += of_worlds.left_out
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = pd.concat(errs, ignore_index=True)
+        tell("drawing figures")
         drawn, narrow = (
             figures.draw(of_paper, numbers, watched, survival, of_worlds, width)
             for width in (style.WIDTH, style.NARROW)
         )
+        tell("flying episodes for the replays")
         flown = replayed.result()
     return Content(
         configurations,

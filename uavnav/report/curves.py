@@ -35,12 +35,15 @@ def curves(
     printed: Mapping[str, float],
     title: str = "",
     width: float = style.WIDTH,
+    looks: Mapping[str, tuple[str, str]] | None = None,
+    rule: float = np.nan,
 ) -> style.Drawn:
     """Learning curves as the paper's figures 4 and 5: a line a configuration, a band, the paper's mean
     dashed.
 
     configurations: by label; column: one of `LINES`; printed: the paper's mean by label; width: of the figure
-        [inches].
+        [inches]; looks: a colour and a line by label, or else by activation; rule: what the scripted policy
+        earns per frame.
     """
     metric = words(column, PER_FRAME)
     title = f"{title}{metric} in training"
@@ -48,17 +51,16 @@ def curves(
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     colours, ends = {}, []
-    for name, (colour, dashes) in style.coloured(configurations):
-        line, n = (
-            learning(configurations[name], column),
-            sum(len(run.seeds) for run in configurations[name].runs),
-        )
+    for name, (colour, dashes) in (looks or dict(style.coloured(configurations))).items():
+        line, n = learning(configurations[name], column), configurations[name].n_seeds
         _line(axes, line, colour, dashes, f"{name}, n = {n}")
         if name in printed:
             axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
         beside = f"the paper's mean {style.number(printed[name])}" if name in printed else ""
         colours[name] = colour
         ends.append(f"{name} {_end(line, beside)}")
+    if np.isfinite(rule):
+        axes.axhline(rule, label=style.RULE, **style.DASHED | {"color": style.SCRIPTED})
     axes.set_ylabel(metric)
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
     _name_dashes(axes, printed, colours)
@@ -176,12 +178,17 @@ def _end(line: pd.DataFrame, beside: str = "") -> str:
 
 
 @matplotlib.rc_context(style.STYLE)
-def survival(curves: Mapping[str, pd.Series[float]], limit: int, width: float = style.WIDTH) -> style.Drawn:
+def survival(
+    curves: Mapping[str, pd.Series[float]],
+    limit: int,
+    width: float = style.WIDTH,
+    looks: Mapping[str, tuple[str, str]] | None = None,
+) -> style.Drawn:
     """Kaplan and Meier's share of test episodes that are still up, against steps: a line a configuration.
 
     curves: label -> shares, indexed by steps, as of `stats.survival`; limit: where episodes were cut off
         [steps];
-    width: of the figure [inches].
+    width: of the figure [inches]; looks: a colour and a line by label, or else by activation.
     """
     title = "Test episodes that are still up"
     curves = {name: shares for name, shares in curves.items() if len(shares)}
@@ -189,7 +196,7 @@ def survival(curves: Mapping[str, pd.Series[float]], limit: int, width: float = 
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     most, said = max(float(shares.index.max()) for shares in curves.values()), []
-    for name, (colour, dashes) in style.coloured(curves):
+    for name, (colour, dashes) in (looks or dict(style.coloured(curves))).items():
         shares = curves[name]
         seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
         seen.iloc[[0, -1]] = True
@@ -201,7 +208,7 @@ def survival(curves: Mapping[str, pd.Series[float]], limit: int, width: float = 
         half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"
         said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % up at {shares.index[-1]:,.0f}")
     axes.axvline(limit, **style.DASHED)
-    words, corner = f"time limit: {limit:,} steps ", axes.get_xaxis_transform()
+    words, corner = f"time limit{f': {limit:,} steps' * (width >= style.WIDTH)} ", axes.get_xaxis_transform()
     axes.annotate(
         words, (limit, 0.98), xycoords=corner, color=style.INK, fontsize=11, rotation=90, va="top", ha="right"
     )

@@ -159,7 +159,8 @@ def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
         if row["who"] in seeds
     }
     full = style.FULL if width >= style.WIDTH else width
-    drawn = charts.episodes(rows, _of_rule(gaps, "reward"), "reward an episode, new obstacles", full)
+    looks = {label: (style.of_pilot(label), "-") for label in rows}
+    drawn = charts.episodes(rows, looks, _of_rule(gaps, "reward"), "reward an episode, new obstacles", full)
     limits = sampled["limit"].dropna()
     limit = f" Episodes end at a collision, or after {limits.max():,.0f} steps." if len(limits) else ""
     caption = "A small dot is a training run, a large one the mean of its row with its 95 % interval."

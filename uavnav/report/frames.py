@@ -35,7 +35,6 @@ from uavnav.report.studies import (
     Studies,
     hours,
     paper_configurations,
-    seeds,
     timed,
 )
 from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
@@ -405,7 +404,7 @@ def sizes(studies: Studies) -> pd.DataFrame:
         [
             study,
             *key,
-            seeds(configuration),
+            configuration.n_seeds,
             configuration.settings["frames"],
             configuration.settings["n_envs"],
         ]

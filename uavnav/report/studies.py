@@ -104,9 +104,9 @@ def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
         [one for one in named or configurations if one.settings == configuration.settings]
         for configuration in named or configurations
     ]
-    return max(groups, key=lambda group: (len(group), sum(map(seeds, group)), str(group[0].settings)))[
-        0
-    ].settings
+    return max(
+        groups, key=lambda group: (len(group), sum(one.n_seeds for one in group), str(group[0].settings))
+    )[0].settings
 
 
 def _place(studies: Studies, configuration: Configuration, usual: Mapping[str, Any]) -> Configurations | None:
@@ -188,11 +188,6 @@ def further(studies: Studies) -> Configurations:
         for key, configuration in studies.of("vectorised").items()
         if key[0] not in paper.TABLE_OF
     }
-
-
-def seeds(configuration: Configuration) -> int:
-    """How many seeds a configuration has."""
-    return sum(len(run.seeds) for run in configuration.runs)
 
 
 @dataclass(eq=False)

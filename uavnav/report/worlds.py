@@ -89,7 +89,8 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             key = (world, run.algorithm, run.config["activation"])
             if key in seeds and not seeds[key].index.intersection(table.index).empty:
                 raise RunError(f"{path}: its seeds are there already, in {world}")
-            if settings.setdefault(key, settings_of(run)) != settings_of(run):
+            own = settings_of(run.config, run.meta, run.frames)
+            if settings.setdefault(key, own) != own:
                 raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(place, flown)

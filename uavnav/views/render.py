@@ -21,13 +21,13 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from uavnav import files
+from uavnav.colours import OTHERS, PILOTS, colours, rgb
 from uavnav.envs import drawing
 from uavnav.envs.drawing import (
     BORDER,
     GROUND,
     INK,
     OBSTACLE,
-    PILOTS,
     SENSED,
     STEPS_PER_SECOND,
     Colour,
@@ -63,6 +63,11 @@ class Pilot(NamedTuple):
     policy: AnyPolicy
     task: WrappedTask
     seed: int = 0
+
+    @property
+    def kind(self) -> str:
+        """Its algorithm, or the name of a script: by this it has its colour."""
+        return self.policy.algorithm if isinstance(self.policy, policies.Policy) else self.name
 
     @property
     def mode(self) -> str:
@@ -159,6 +164,7 @@ class Film(Sequence[Picture]):
 
     def __init__(self, episodes: Sequence[Episode], obstacles: Tensor, width: int, every: int = 1) -> None:
         self.episodes, self.obstacles, self.width = episodes, obstacles, width
+        self.colours = [rgb(one) for one in colours(episode.pilot.kind for episode in episodes)]
         self._trails = [[_place(state) for state in episode.states] for episode in episodes]
         self._panel = functools.lru_cache(len(episodes))(self._draw)  # what stands still is drawn once
         last = max(len(episode.states) for episode in episodes) - 1
@@ -191,7 +197,7 @@ class Film(Sequence[Picture]):
 
     def _draw(self, number: int, step: int) -> Image.Image:
         """One episode with its caption."""
-        episode, colour = self.episodes[number], PILOTS[number % len(PILOTS)]
+        episode, colour = self.episodes[number], self.colours[number]
         state, trail = episode.states[step], self._trails[number][: step + 1]
         task = episode.pilot.task.replace(layouts=self.obstacles[None])
         here = state._replace(layout=torch.tensor(0))
@@ -302,7 +308,7 @@ def _palette(frames: Sequence[Picture]) -> Image.Image:
     """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over
     the film.
     """
-    own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *PILOTS)))
+    own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *map(rgb, (*PILOTS.values(), *OTHERS)))))
     spread = [frames[round(index * (len(frames) - 1) / 4)][::2, ::2] for index in range(5)]
     mixed = Image.fromarray(np.concatenate(spread)).quantize(COLOURS - len(own)).getpalette() or []
     palette = Image.new("P", (1, 1))

@@ -11,6 +11,7 @@ Letters: R rows, one an episode, T steps of an episode, K obstacles of a layout.
 from __future__ import annotations
 
 import base64
+import itertools
 import json
 import subprocess
 import sys
@@ -51,11 +52,14 @@ LEVELS = 64
 
 
 class Trained(NamedTuple):
-    """Runs of one configuration, whatever their seeds."""
+    """Runs of one configuration, whatever their seeds; only some layouts of one seed, where that is said."""
 
     algorithm: str
     label: str
     runs: Sequence[Run]
+    seed: int | None = None
+    layouts: Sequence[int] = ()
+    colour: str = ""  # of its drone; by default the page's accent
 
 
 class Field(NamedTuple):
@@ -109,11 +113,11 @@ def record(
 
     Returns:
         What the player reads, as JSON can hold it: `world` (its constants), `layouts` (of [x, y, radius]
-        px), `actions` ([degrees, px] of each), `fields` (`FIELDS` in the order of the bytes, and the columns
-        of each), `configurations` (algorithm, label, mode, what its values are, and `episodes` with seed,
-        layout, steps, reward, how it ended, and the bytes; elsewhere than in the paper's world also
-        `_place`), `rule` (episodes of the scripted policy), and `left_out`: a line for each policy that
-        cannot fly.
+        px; None for those that are not shown), `actions` ([degrees, px] of each), `fields` (`FIELDS` in the
+        order of the bytes, and the columns of each), `configurations` (algorithm, label, mode, what its
+        values are, and `episodes` with seed, layout, steps, reward, how it ended, and the bytes; elsewhere
+        than in the paper's world also `_place`), `rule` (episodes of the scripted policy), and `left_out`: a
+        line for each policy that cannot fly.
 
     Raises:
         ValueError: a count is below 1, or the split has fewer layouts.
@@ -129,31 +133,46 @@ def record(
         left_out += problems
         sets = layouts.judged_on(configuration.runs[0].config.get("layouts", "train"))
         ready += [(configuration, sets, population)] if population else []
+    usual = range(n_layouts)
     flown = {}
     with machine.use_threads(1):
         for sets in dict.fromkeys(sets for _, sets, _ in ready):
-            flyers = [flyer for _, own, population in ready if own == sets for flyer in population.items()]
-            flown[sets] = iter(fly(flyers, layouts.load(sets)[:EPISODES], n_layouts, max_steps))
+            flyers = [
+                Flyer(seed, policy, configuration.layouts or usual)
+                for configuration, own, population in ready
+                if own == sets
+                for seed, policy in population.items()
+            ]
+            flown[sets] = iter(fly(flyers, layouts.load(sets)[:EPISODES], max_steps))
         task = WrappedTask(Task(world, all_layouts[:n_layouts], max_steps=max_steps))
-        (rule,) = _fly_together([(0, reactive)], task, n_layouts)
+        (rule,) = _fly_together([Flyer(0, reactive, usual)], task)
     shown = []
     for configuration, sets, population in ready:
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
+        name |= {"accent": configuration.colour} if configuration.colour else {}
         own = [_pack(episode) for _ in population for episode in next(flown[sets])]
-        name |= _place(next(iter(population.values())).task, sets, n_layouts)
+        name |= _place(next(iter(population.values())).task, sets, configuration.layouts or usual)
         shown.append(
             name | {"values": ALGORITHMS[configuration.algorithm].shown, "mode": "sampled", "episodes": own}
         )
     angle, distance = decode(torch.arange(world.n_actions), world)
     return {
         "world": world.model_dump(),
-        "layouts": all_layouts[:n_layouts].double().numpy().round(2).tolist(),
+        "layouts": _sparse(
+            all_layouts.double().numpy().round(2).tolist(),
+            [*usual, *(place for one in configurations for place in one.layouts)],
+        ),
         "actions": torch.stack([angle, distance], -1).tolist(),
         "fields": _told(FIELDS),
         "configurations": shown,
         "rule": [_pack(episode) for episode in rule],
         "left_out": list(dict.fromkeys(left_out)),
     }
+
+
+def _sparse(rows: Sequence[Any], shown: Sequence[int]) -> list[Any]:
+    """Layouts at their places in a list, with nothing for those that nobody sees."""
+    return [rows[place] if place in shown else None for place in range(max(shown) + 1)]
 
 
 def record_apart(configurations: Sequence[Trained]) -> dict[str, Any]:
@@ -241,7 +260,10 @@ def _load(configuration: Trained, n_seeds: int) -> tuple[dict[int, Policy], list
     """The policies of a configuration's lowest seeds that can be loaded, and a line for each that cannot."""
     population: dict[int, Policy] = {}
     problems = []
-    for seed, path in sorted((seed, run.path) for run in configuration.runs for seed in run.seeds):
+    seeds = sorted((seed, run.path) for run in configuration.runs for seed in run.seeds)
+    for seed, path in seeds:
+        if configuration.seed not in (None, seed):
+            continue
         if len(population) == n_seeds:
             break
         try:
@@ -262,7 +284,7 @@ def _layouts(task: WrappedTask, sets: str = "test") -> Tensor:
     return layouts.load(sets, task.world)[:EPISODES]
 
 
-def _place(task: WrappedTask, sets: str, n_layouts: int) -> dict[str, Any]:
+def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any]:
     """Where episodes were flown, if not in the paper's world as it is: `place`, what the player draws and
     calls it.
 
@@ -275,11 +297,11 @@ def _place(task: WrappedTask, sets: str, n_layouts: int) -> dict[str, Any]:
     words = [word for word, is_so in found.items() if is_so]
     if not words:
         return {}
-    rows = _layouts(task, sets)[:n_layouts].double().tolist()
-    shown = [
-        {"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task.task, Goal) else {"circles": one}
-        for one in rows
-    ]
+    circles = _sparse(_layouts(task, sets).double().tolist(), chosen)
+    if isinstance(task.task, Goal):
+        shown = [one and {"circles": one[:-1], "goal": one[-1][:2]} for one in circles]
+    else:
+        shown = [one and {"circles": one} for one in circles]
     constants: dict[str, Any] = {"world": task.world.model_dump(), "max_steps": task.max_steps}
     if isinstance(task.world, SpaceWorld):
         parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
@@ -289,6 +311,14 @@ def _place(task: WrappedTask, sets: str, n_layouts: int) -> dict[str, Any]:
             "actions": torch.stack(parts, -1).tolist(),
         }
     return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
+
+
+class Flyer(NamedTuple):
+    """A policy with its seed, and the layouts of its split on which it is shown."""
+
+    seed: int
+    policy: AnyPolicy
+    layouts: Sequence[int]
 
 
 class Episode(NamedTuple):
@@ -303,39 +333,37 @@ class Episode(NamedTuple):
     arrived: bool = False  # at its goal
 
 
-def fly(
-    flyers: Sequence[tuple[int, Policy]], layouts: Tensor, n_layouts: int, max_steps: int
-) -> list[list[Episode]]:
-    """For each seed and policy its episodes on the first layouts of a layout file [L, K, 3] px: those that an
-    evaluation counts.
+def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[Episode]]:
+    """The shown episodes of each trained policy, on layouts [L, K, 3] px: those that an evaluation counts.
 
     All layouts of the split are flown, as an evaluation flies them: sampled actions of one episode follow
     others. In another world, policies fly as many layouts of its own test split.
     """
     found: list[list[Episode]] = [[] for _ in flyers]
-    for places in episodes.alike([policy for _, policy in flyers]):
+    policies = [flyer.policy for flyer in flyers if isinstance(flyer.policy, Policy)]
+    for places in episodes.alike(policies):
         together = [flyers[place] for place in places]
-        own_task = together[0][1].task
+        own_task = policies[places[0]].task
         task = own_task.on(
             layouts if type(own_task.task) is Task else _layouts(own_task)[: len(layouts)], max_steps
         )
-        for place, own in zip(places, _fly_together(together, task, n_layouts), strict=True):
+        for place, own in zip(places, _fly_together(together, task), strict=True):
             found[place] = own
     return found
 
 
-def _fly_together(
-    flyers: Sequence[tuple[int, AnyPolicy]], task: WrappedTask, n_layouts: int
-) -> Iterator[list[Episode]]:
-    """The episodes of each flyer on the first layouts, all of them as one batch."""
+def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[Episode]]:
+    """The shown episodes of each flyer, all of them as one batch."""
     n = len(task.layouts)
-    start = episodes.start(task, [seed for seed, _ in flyers])
-    kept = torch.arange(len(start.x)) % n < n_layouts
+    start = episodes.start(task, [flyer.seed for flyer in flyers])
+    rows = [[place * n + layout for layout in flyer.layouts] for place, flyer in enumerate(flyers)]
+    kept = torch.zeros(len(start.x), dtype=torch.bool)
+    kept[list(itertools.chain(*rows))] = True
     going = kept.reshape(-1, n).sum(1)  # shown episodes of each flyer
     observation, clearance = task.observe(start)
     poses, choices = [_pose(torch.arange(len(kept)), start, _slots(task, observation), clearance, kept)], []
     collided, arrived = torch.zeros(2, len(kept), dtype=torch.bool)
-    for step in episodes.steps(flyers, task):
+    for step in episodes.steps([flyer[:2] for flyer in flyers], task):
         mine, outcome = kept[step.episode], step.outcome
         values = step.values
         if values is None:  # behind the action of a script is nothing but itself
@@ -352,14 +380,13 @@ def _fly_together(
         step.ended.logical_or_((going == 0)[step.episode // n])
     collided &= ~arrived
     seen, done = (dict(_by_row(parts)) for parts in (poses, choices))
-    for place, (seed, policy) in enumerate(flyers):
-        rows = range(place * n, place * n + n_layouts)
-        for row in rows:
-            if isinstance(policy, Policy):
-                done[row]["values"] = policy.shown(done[row]["values"])
+    for own, flyer in zip(rows, flyers, strict=True):
+        for row in own:
+            if isinstance(flyer.policy, Policy):
+                done[row]["values"] = flyer.policy.shown(done[row]["values"])
         yield [
-            Episode(seed, row - rows[0], bool(collided[row]), seen[row], done[row], bool(arrived[row]))
-            for row in rows
+            Episode(flyer.seed, row % n, bool(collided[row]), seen[row], done[row], bool(arrived[row]))
+            for row in own
         ]
 
 

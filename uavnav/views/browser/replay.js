@@ -273,7 +273,8 @@ class Player {
 
   draw() {
     if (!this.read) return;
-    const { read, step, colours, font, grid, episode, world } = this;
+    const { read, step, font, grid, episode, world } = this;
+    const colours = { ...this.colours, accent: this.configuration.accent ?? this.colours.accent };
     const over = step === episode.steps;
     const drone = { ...droneAt(world, read, step), crashed: crashedAt(episode, step) };
     const scene = { world, ...around(this.data, this.configuration, episode, step), colours };

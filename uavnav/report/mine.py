@@ -1,0 +1,391 @@
+"""My runs: those that name no study, ranked beside the scripted policy, with their curves and a typical
+episode of each. Unfinished runs are rows too.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavnav import style
+from uavnav.errors import OneLineError
+from uavnav.report import charts, compare, curves, tables, templating
+from uavnav.report.compare import Contender, ahead, of_episodes
+from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
+from uavnav.report.verdicts import SEEDS
+from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
+from uavnav.runs.evaluations import Protocol, usual
+from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
+from uavnav.runs.metrics import of_episodes as measures
+from uavnav.runs.tables import RunError, read_table, write_table
+from uavnav.stats import Array, Interval
+from uavnav.training.checkpoints import Checkpoints
+from uavnav.views import browser, replays
+
+TITLES = browser.TITLES | browser.IN_3D
+SCRIPT = "reactive"
+"""The scripted policy that everything learned is held against."""
+SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
+"""What the ranking says of episodes beside their reward: the first that they have."""
+
+
+Looks = Mapping[str, tuple[str, str]]
+"""A colour and a line by the name of a run."""
+
+
+class Group(NamedTuple):
+    """Runs whose rewards are of one measure."""
+
+    title: str
+    how: str  # they were evaluated
+    contenders: list[Contender]  # the best first, those without test episodes last
+    scripted: Contender | None
+    ranking: tables.Rows
+    figures: list[tuple[str, style.Drawn, style.Drawn, str]]  # name, wide, narrow, caption
+
+
+KIND = "algorithm", "preset", "task"
+NOT_SAID = "total_frames", "layouts"
+
+
+class Mine(NamedTuple):
+    """All that a report says of one's own runs."""
+
+    groups: list[Group]
+    best: str  # in a sentence
+    differ: tables.Rows
+    claims: str  # what the verdicts of the paper's claims would need, empty where they can be judged
+    recorded: dict[str, Any] | None
+    left_out: list[str]
+    running: bool
+
+
+def gather(
+    found: Sequence[Configuration],
+    unfinished: Sequence[Path],
+    folders: Sequence[Path],
+    out: Path,
+    tell: Callable[[str], None],
+) -> Mine | None:
+    """What is said of the runs without a study; None where all of them have one.
+
+    found: finished ones of all kinds; out: where episodes of the scripted policy are kept; tell: is told each
+        step of the work.
+    """
+    own = {str(one.runs[0].path): one for one in found if not one.study}
+    begun = {str(path): begin(path) for path in unfinished}
+    if not own and not begun:
+        return None
+    paths = dict(zip(_names([*own, *begun], folders), map(Path, [*own, *begun]), strict=True))
+    said = [
+        f"{one.n_seeds} seed{'s' * (one.n_seeds > 1)}, {one.settings['frames']:,} frames"
+        for one in own.values()
+    ]
+    status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True))
+    configurations = [*own.values(), *(one for one, _ in begun.values())]
+    contenders = [_contender(name, one) for name, one in zip(paths, configurations, strict=True)]
+    tell("ranking runs beside the scripted policy")
+    looks = style.of_pilots({one.name: one.pilot for one in contenders})
+    groups = []
+    for place, members in enumerate(_alike(contenders)):
+        scripted = _scripted(members[0], paths[members[0].name], [*folders, out])
+        groups.append(_group(members, scripted, status, looks, place))
+    tell("flying a typical episode of each run")
+    recorded, left_out = _typical(contenders, looks)
+    return Mine(
+        groups,
+        _best(groups[0], paths),
+        differences(contenders),
+        _missing(found, folders[0]),
+        recorded,
+        left_out,
+        any(how.startswith("running") for _, how in begun.values()),
+    )
+
+
+def unfinished(folders: Sequence[Path]) -> list[Path]:
+    """The folders of runs that are training or were stopped and name no study."""
+    paths = dict.fromkeys(path for folder in folders for path in run_folders(folder)[0])
+    found = []
+    for path in paths:
+        try:
+            meta = read_settings(path / "meta.json")
+            read_settings(path / "config.yaml")
+        except RunError:
+            continue
+        if meta.get("status") != FINISHED and not meta.get("study"):
+            found.append(path)
+    return found
+
+
+def begin(path: Path) -> tuple[Configuration, str]:
+    """An unfinished run as far as it is, and how far that is: its snapshots' episodes."""
+    config, meta, told = (
+        read_settings(path / "config.yaml"),
+        read_settings(path / "meta.json"),
+        progress(path),
+    )
+    frames, episodes = _snapshots(path)
+    frames, total = max(frames, told.get("frames", 0)), config["total_frames"]
+    run = heard(told, time.time()) and meta.get("status") == "running"
+    algorithm, activation = config["algorithm"], config["activation"]
+    status = f"{'running' if run else 'stopped'} at {frames:,} of {total:,} frames"
+    settings = settings_of(config, meta, max(frames, 1))
+    return Configuration(algorithm, activation, settings, [], episodes, EMPTY), status
+
+
+def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
+    """The frames and the episodes of a run's newest snapshots, of all its workers."""
+    parts, frames = [], []
+    for folder in [path, *sorted((path / WORKERS).glob("*"))]:
+        try:
+            newest = Checkpoints(folder / "checkpoint", {}).newest()
+            rows = {name: newest.state["episodes"][name].numpy() for name in EPISODE_COLUMNS}
+        except (RunError, KeyError):
+            continue
+        parts.append(pd.DataFrame(rows).astype(EPISODE_COLUMNS))
+        frames.append(newest.frames)
+    return min(frames, default=0), pd.concat(parts, ignore_index=True) if parts else EMPTY
+
+
+def _names(paths: Sequence[str], folders: Sequence[Path]) -> list[str]:
+    """Names of runs: their paths below the report's folders, whole where two would be the same."""
+    short = []
+    for path in map(Path, paths):
+        folder = next(one for one in folders if path.is_relative_to(one))
+        short.append(str(path.relative_to(folder)) if path != folder else path.name)
+    return [name if short.count(name) == 1 else path for name, path in zip(short, paths, strict=True)]
+
+
+def _contender(name: str, configuration: Configuration) -> Contender:
+    rows = configuration.runs[0].evaluation() if configuration.runs else None
+    return compare.trained(name, configuration, rows)
+
+
+def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
+    """Those that flew in one world by one protocol together; those that did not fly, with their world's."""
+    groups: list[list[Contender]] = []
+    for one in sorted(contenders, key=lambda one: not one.protocol):
+        for members in groups:
+            first = members[0]
+            if first.place == one.place and (not one.protocol or first.protocol == one.protocol):
+                members.append(one)
+                break
+        else:
+            groups.append([one])
+    return groups
+
+
+def _group(
+    members: Sequence[Contender],
+    scripted: Contender | None,
+    status: Mapping[str, str],
+    looks: Looks,
+    place: int,
+) -> Group:
+    """The ranking and the figures of runs in one world; place: of the group, for the names of its files."""
+    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -_reward(one)[0].value)
+    ordered = [*flown, *(one for one in members if not len(one.episodes))]
+    rows = {one.name: (_dots(one), _reward(one)[0]) for one in flown}
+    rule = earned = np.nan
+    if scripted is not None:
+        rule, sums = _reward(scripted)[0].value, scripted.episodes[["reward", "steps"]].sum()
+        earned = sums["reward"] / sums["steps"]
+    learned = {one.name: one.configuration for one in members if one.configuration is not None}
+    task = str(members[0].place["task"])
+    figures = []
+    if rows:
+        draw = functools.partial(charts.episodes, rows, looks, rule, "reward of a test episode")
+        words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
+        figures.append((f"ranking-{place + 1}", draw(), draw(width=style.NARROW), words))
+    if any(len(one.episodes) for one in learned.values()):
+        mine = {name: looks[name] for name in learned}
+        draw = functools.partial(curves.curves, learned, "reward", {}, looks=mine, rule=earned)
+        words = (
+            "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
+        )
+        figures.append((f"curves-{place + 1}", draw(), draw(width=style.NARROW), words))
+    how = compare.flown(ordered) if flown else "no test episodes yet"
+    return Group(
+        TITLES.get(task, task).capitalize(),
+        how,
+        ordered,
+        scripted,
+        _ranking(ordered, scripted, status),
+        figures,
+    )
+
+
+def _dots(one: Contender) -> Array:
+    """A number a seed, or an episode of a single seed."""
+    seeds = one.episodes.groupby("seed")["reward"].mean()
+    return (seeds if len(seeds) > 1 else one.episodes["reward"]).to_numpy(np.float64)
+
+
+def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:
+    """The scripted policy's episodes on the layouts of a run: kept ones, or flown now and kept.
+
+    None where it cannot fly in the run's world.
+    """
+    protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
+    layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
+    name = Protocol(layouts, episodes, limit, None, task).file(SCRIPT)
+    beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
+    plain = not {"world", "reward", "faults"} & beyond
+    there = [path for folder in folders if plain and (path := folder / "baselines" / name).exists()]
+    try:
+        if there:
+            rows = read_table(there[0], EVALUATED, "delete it")
+            return Contender(SCRIPT, rows, protocol, first.place, None, SCRIPT)
+        flown = compare.fly(SCRIPT, protocol, None, str(run))
+        if plain:
+            rows = flown.episodes.copy()
+            rows.attrs = {str(key): value for key, value in protocol.items()}
+            (folders[-1] / "baselines").mkdir(parents=True, exist_ok=True)
+            write_table(folders[-1] / "baselines" / name, rows)
+        return flown
+    except (OneLineError, ValueError, OSError):
+        return None
+
+
+def _ranking(
+    ordered: Sequence[Contender], scripted: Contender | None, status: Mapping[str, str]
+) -> tables.Rows:
+    """A row a run and one for the scripted policy, the best first; those without test episodes last."""
+    shown = [one for one in (*ordered, scripted) if one is not None and len(one.episodes)]
+    shown.sort(key=lambda one: -_reward(one)[0].value)
+    own = {one.name: measures(one.episodes).mean() for one in shown}
+    column = next((name for name in SHOWN if any(name in one for one in own.values())), "survive")
+    rows = [["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "training"]]
+    for one in shown:
+        mean, over = _reward(one)
+        numbers = _number(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
+        if one is scripted:
+            rows.append([f"scripted policy, `{SCRIPT}`", *numbers, tables.NOTHING, "none"])
+        else:
+            gap = _number(ahead(one, scripted)[0]) if scripted is not None else tables.NOTHING
+            rows.append([one.name, *numbers, gap, status[one.name]])
+    late = [one for one in ordered if not len(one.episodes)]
+    return rows + [[one.name, "not evaluated", *[tables.NOTHING] * 3, status[one.name]] for one in late]
+
+
+def _number(found: Interval) -> str:
+    return tables.with_interval(*found[:3], 0 if abs(found.value) >= 100 else 1)
+
+
+def _best(first: Group, paths: Mapping[str, Path]) -> str:
+    """The best run of a group, beside the scripted policy."""
+    best = first.contenders[0]
+    if not len(best.episodes):
+        return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
+    mean, over = _reward(best)
+    said = f"**{best.name}** earns most: {_number(mean)} of reward an episode (95 % interval over {over})."
+    if first.scripted is not None:
+        said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
+    return said
+
+
+def _reward(one: Contender) -> tuple[Interval, str]:
+    return of_episodes(one.episodes["reward"], one.episodes["seed"])
+
+
+def differences(contenders: Sequence[Contender]) -> tables.Rows:
+    """What every run was trained with, and in what it differs from its preset or from its peers.
+
+    Peers are runs of the same algorithm, preset and task.
+    """
+    named = ["algorithm", "activation", "preset", "task", "frames", "n_envs"]
+    known = {
+        one.name: {"algorithm": one.pilot, "activation": one.configuration.activation}
+        | one.configuration.settings
+        for one in contenders
+        if one.configuration is not None
+    }
+    rows = [["run", *named, "and else"]]
+    for one in contenders:
+        own = known[one.name]
+        kind = [own.get(key) for key in KIND]
+        peers = [other for other in known.values() if [other.get(key) for key in KIND] == kind]
+        runs = one.configuration.runs if one.configuration is not None else []
+        beyond = {key for run in runs for key in run.meta["beyond_preset"]} - {"layouts"}
+        differ = beyond | {key for key in own if len({show(peer.get(key)) for peer in peers}) > 1}
+        told = (f"{key}={show(own.get(key))}" for key in sorted(differ.difference(named, NOT_SAID)))
+        rows.append([one.name, *(show(own.get(key)) for key in named), ", ".join(told) or tables.NOTHING])
+    return rows
+
+
+def _missing(found: Sequence[Configuration], folder: Path) -> str:
+    """What the paper's claims would need, in a sentence; empty where there is enough to judge some."""
+    ready = {
+        (one.algorithm, one.activation)
+        for one in found
+        if one.n_seeds >= SEEDS and one.settings.get("task", "drone") == "drone"
+    } & paper.TABLES.keys()
+    if len(ready) > 1 or any(one.study for one in found):
+        return ""
+    return (
+        f"The verdicts on the paper's claims need at least two of its {len(paper.TABLES)} configurations with"
+        f" {SEEDS} seeds each; here {len(ready)} {'has' if len(ready) == 1 else 'have'} that many."
+        f" `uavnav study paper out={folder}` trains all of them."
+    )
+
+
+def _typical(contenders: Sequence[Contender], looks: Looks) -> tuple[dict[str, Any] | None, list[str]]:
+    """The replay of each run's median episode by reward; its first one where it was not evaluated."""
+    shown = []
+    for one in contenders:
+        if one.configuration is None or not one.configuration.runs:
+            continue
+        seed, layout = typical(one.episodes) if len(one.episodes) else (None, 0)
+        shown.append(
+            replays.Trained(
+                one.pilot, f"({one.name})", one.configuration.runs, seed, [layout], looks[one.name][0]
+            )
+        )
+    recorded = replays.record(shown, n_seeds=1, n_layouts=1)
+    return recorded if recorded["configurations"] else None, recorded["left_out"]
+
+
+def typical(episodes: pd.DataFrame) -> tuple[int, int]:
+    """Seed and layout of the median episode by reward, of two the lesser."""
+    ordered = episodes.sort_values(["reward", "seed", "layout"])
+    middle = ordered.iloc[(len(ordered) - 1) // 2]
+    return int(middle["seed"]), int(middle["layout"])
+
+
+def contents(mine: Mine, left_out: Sequence[str], watched: bool) -> dict[str, bytes]:
+    """The files of a report on one's own runs alone; left_out: a line for each run that is not in it."""
+    told: dict[str, Any] = {
+        "mine": mine,
+        "pictures": pictures(mine),
+        "left_out": left_out,
+        "watched": watched,
+    }
+    return files_of(mine) | {
+        "report.html": templating.page("mine.html", {}, **told).encode(),
+        "report.md": templating.TEMPLATES.get_template("runs.md").render(told).encode(),
+    }
+
+
+def files_of(mine: Mine) -> dict[str, bytes]:
+    """The figures as files."""
+    found: dict[str, bytes] = {}
+    for name, drawn, _, _ in (figure for group in mine.groups for figure in group.figures):
+        svg, png = style.save(drawn.figure)
+        found |= {f"figures/{name}.svg": svg, f"figures/{name}.png": png}
+    return found
+
+
+def pictures(mine: Mine) -> dict[str, list[Any]]:
+    """Every figure by its name, for a page and for a phone."""
+    return {
+        name: [templating.source(one.figure) for one in (wide, narrow)]
+        for group in mine.groups
+        for name, wide, narrow, _ in group.figures
+    }

@@ -1,0 +1,152 @@
+"""What the templates of all pages share: how Markdown becomes HTML, and the rows that numbers lead to."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+import pandas as pd
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+from uavnav import style
+from uavnav.report import tables
+from uavnav.views import browser
+
+HERE = Path(__file__).parent / "templates"
+MOST = 100
+"""Rows of a table that a page shows whole, where a number stands for all of it."""
+_MARKS = re.compile(r"\[([^\[\]]+)\]\(([^()\s]+)\)|`([^`]+)`|\*\*([^*]+)\*\*|\*([^*\s][^*]*)\*")
+_ROW = re.compile(r"[\w./]*tables/(\w+)\.csv(?:#L(\d+))?")
+_QUOTED = re.compile(r"#row-(\w+?)-(\d*)(?=[\")])")
+_INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
+
+
+def inline(text: str) -> Markup:
+    """A line of Markdown: links, code and emphasis. A line of a CSV is a row of this page."""
+    parts, end = [], 0
+    for mark in _MARKS.finditer(text):
+        words, where, code, strong, emphasis = mark.groups()
+        parts.append(escape(text[end : mark.start()]))
+        if words:
+            parts.append(Markup('<a href="{}">{}</a>').format(anchored(where), words))
+        else:
+            tag = "code" if code else "strong" if strong else "em"
+            parts.append(Markup(f"<{tag}>{{}}</{tag}>").format(code or strong or emphasis))
+        end = mark.end()
+    return Markup("").join([*parts, escape(text[end:])])
+
+
+def anchored(where: str) -> str:
+    """Where a row of a table is on a page that holds it; other addresses as they are."""
+    return _ROW.sub(lambda found: f"#row-{found[1]}-{found[2] or ''}", where)
+
+
+def plain(text: str) -> str:
+    """A line of Markdown without its marks."""
+    return _MARKS.sub(lambda mark: next(one for one in (mark[1], *mark.groups()[2:]) if one), text)
+
+
+def listed(text: str) -> list[str]:
+    """The lines of a list in Markdown."""
+    return [line.removeprefix("- ") for line in text.splitlines()]
+
+
+def cell(text: str) -> Markup:
+    """A cell of a table: an interval below its number, or a line of Markdown."""
+    if found := _INTERVAL.fullmatch(text):
+        return Markup('{} <span class="interval">{}</span>{}').format(*found.groups())
+    return inline(text)
+
+
+def as_json(data: Any) -> Markup:
+    """Data as a page's script holds it."""
+    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+class Quoted(NamedTuple):
+    """The rows of a table that a page leads to."""
+
+    name: str
+    columns: list[str]
+    rows: list[tuple[int, list[str]]]  # by their lines in the CSV
+    of: int  # rows that the table has
+
+
+def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[Quoted]:
+    """The rows to which a page's links lead; a link to a table as a whole wants all rows of a small one."""
+    wanted: dict[str, set[int]] = {}
+    for name, line in _QUOTED.findall(page):
+        whole = range(2, 2 + len(numbers[name])) if len(numbers[name]) <= MOST else ()
+        wanted.setdefault(name, set()).update([int(line)] if line else whole)
+    found = []
+    for name in sorted(wanted):
+        lines = sorted(wanted[name])
+        rows = numbers[name].iloc[[line - 2 for line in lines]]
+        shown = {
+            str(column): [_shown(one, str(column)) for one in rows.to_dict("records")]
+            for column in rows
+            if not re.search(r"(^|_)(low|high)$", str(column)) and rows[column].notna().any()
+        }
+        cells = zip(*shown.values(), strict=True)
+        found.append(
+            Quoted(name, [*shown], list(zip(lines, map(list, cells), strict=True)), len(numbers[name]))
+        )
+    return found
+
+
+def _shown(row: Mapping[Any, Any], column: str) -> str:
+    """A cell of a quoted row, with its interval where it has one."""
+    low, high = (
+        ("low", "high") if column in ("value", "reward", "mean") else (f"{column}_low", f"{column}_high")
+    )
+    value, ends = row[column], (row.get(low), row.get(high))
+    if pd.isna(value):
+        return tables.NOTHING
+    if isinstance(value, float):
+        inside = "" if any(pd.isna(one) for one in ends) else " [{:.4g}, {:.4g}]".format(*ends)
+        shown = f"{value:,.0f}" if value.is_integer() else f"{value:.4g}"
+        return f"{shown}{inside}".replace("-", "−")
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+
+
+Source = tuple[str, int, int]
+"""Of a picture in a page: its address, and its width and height [px]."""
+
+
+def source(figure: Figure) -> Source:
+    """A figure as a page holds it."""
+    width, height = (round(96 * side) for side in figure.get_size_inches())
+    return Markup(style.embedded(figure)), width, height
+
+
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("uavnav.report"),
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+    undefined=jinja2.StrictUndefined,
+    autoescape=jinja2.select_autoescape(),
+)
+TEMPLATES.filters |= {"json": as_json, "cell": cell, "inline": inline, "plain": plain, "listed": listed}
+TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown}
+STYLES = HERE / "page.css", browser.HERE / "replay.css", browser.HERE / "first.css"
+PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
+"""Scripts of the player, in the order in which a browser reads them."""
+TEMPLATES.globals |= {
+    "css": Markup(browser.joined(STYLES)),
+    "js": Markup(browser.joined(PLAYER)),
+    "folding": Markup(browser.joined([HERE / "page.js"])),
+    "renewing": Markup(browser.joined([HERE / "renew.js"])),
+}
+
+
+def page(template: str, numbers: Mapping[str, pd.DataFrame], also: str = "", **told: Any) -> str:
+    """A page, and in it the rows that its numbers lead to; also: Markdown that leads to some too."""
+    text = TEMPLATES.get_template(template).render(told, numbers=numbers)
+    rows = TEMPLATES.get_template("rows.html").render(quoted=quoted(text + anchored(also), numbers))
+    return text.replace("<!-- rows -->", rows)

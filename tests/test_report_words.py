@@ -115,7 +115,7 @@ def findings_of(*verdicts):
 
 
 def judged(content, *verdicts):
-    """A report whose first claims have these verdicts in training, and the first one the reverse by the log."""
+    """A report whose first claims have these verdicts in training; by the log the first one reverses."""
     audits = {column: [] for column in COLUMNS} | {
         TRAINING: findings_of(*verdicts),
         LOG: findings_of("reverses"),
@@ -129,11 +129,11 @@ def test_the_table_of_claims_has_a_grade_a_column_and_a_dash_where_it_cannot_ans
     header, first, second, third, *_ = evidence.table(rows)
     assert header[2:] == [*COLUMNS]
     assert first[2:] == [
-        "[replicates](tables/grades.csv#L2) 12/12, n = 8",
-        "[does not](tables/grades.csv#L3) 0/12, n = 8",
+        "[replicates](tables/grades.csv#L2) 12/12, n\u00a0=\u00a08",
+        "[does not](tables/grades.csv#L3) 0/12, n\u00a0=\u00a08",
         *("–", "–"),
     ]
-    assert second[2:] == ["[does not](tables/grades.csv#L4) 0/9, n = 8", *["–"] * 3]
+    assert second[2:] == ["[does not](tables/grades.csv#L4) 0/9, n\u00a0=\u00a08", *["–"] * 3]
     assert third[2:] == ["–"] * 4
 
 

@@ -15,8 +15,9 @@ from verdict_evidence import of_metric, of_paper_per_frame
 
 from uavnav.report import evidence, frames, tables, whys
 from uavnav.report.claims import CLAIMS, EVERY, TRAINING
-from uavnav.report.page import SECTIONS, linked, listed, page, plain, said
+from uavnav.report.page import SECTIONS, page, said
 from uavnav.report.quotes import STUDY, Quotes, Untrue, block, prose
+from uavnav.report.templating import inline, listed, plain
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
 
@@ -75,7 +76,7 @@ def test_all_but_a_few_claims_and_all_whys_have_a_sentence_with_a_sign():
 def test_every_claim_question_and_section_has_its_sentence():
     assert {f"claim_{claim.number}" for claim in EVERY} <= {*BLOCKS}
     assert {f"why_{question.name}" for question in whys.QUESTIONS} <= {*BLOCKS}
-    assert {f"of_{section}" for section in SECTIONS} - {*BLOCKS} == {"of_verdicts", "of_methods"}
+    assert {f"of_{section}" for section in SECTIONS} - {*BLOCKS} == {"of_verdicts", "of_methods", "of_rows"}
 
 
 MADE = pd.DataFrame(
@@ -154,7 +155,7 @@ def test_the_prose_is_of_the_study_that_answers_for_the_paper_alone_whose_runs_n
 
 def test_a_line_of_markdown_has_its_links_on_a_page_and_nothing_else_of_it_is_html():
     line = "A [5 < 6](tables/a.csv#L2) & [b](c)."
-    assert linked(line) == 'A <a href="tables/a.csv#L2">5 &lt; 6</a> &amp; <a href="c">b</a>.'
+    assert inline(line) == 'A <a href="#row-a-2">5 &lt; 6</a> &amp; <a href="c">b</a>.'
     assert plain(line) == "A 5 < 6 & b."
     assert listed("- a\n- b") == ["a", "b"]
     assert listed("") == []

@@ -182,7 +182,7 @@ def gather(
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
-        numbers["operating"] = pd.concat(errs, ignore_index=True)
+        numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
         tell("drawing figures")
         drawn, narrow = (
             figures.draw(of_paper, numbers, watched, survival, of_worlds, width)

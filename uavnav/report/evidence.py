@@ -13,7 +13,7 @@ from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import COUNTS, of_claim
+from uavnav.report.verdicts import COUNTS, OPEN, of_claim
 
 
 class Row(NamedTuple):
@@ -23,6 +23,7 @@ class Row(NamedTuple):
     sentence: str  # of the paper
     note: str
     column: str  # that its sentence is about
+    grade: str  # in that column
     grades: dict[str, str]  # by column, with the seeds; a dash where it cannot answer
     said: str  # what our seeds say, in Markdown
     parts: dict[str, tables.Rows]  # by column that answers
@@ -45,6 +46,7 @@ def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quote
         claim.sentence,
         claim.note,
         claim.column,
+        next(iter(own.loc[own["column"] == claim.column, "grade"]), OPEN),
         {column: _graded(own[own["column"] == column], quotes) for column in COLUMNS},
         prose[f"claim_{claim.number}"] or _generic(claim, content, quotes),
         {column: tables.audit_rows(found[column]) for column in COLUMNS if column in [*own["column"]]},
@@ -58,7 +60,7 @@ def _graded(own: pd.DataFrame, quotes: Quotes) -> str:
     for place, one in own.iterrows():
         seeds = " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
         counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
-        return f"{quotes.link(one['grade'], 'grades', int(str(place)))}{counts}, n = {seeds}"
+        return f"{quotes.link(one['grade'], 'grades', int(str(place)))}{counts}, n\u00a0=\u00a0{seeds}"
     return tables.NOTHING
 
 

@@ -1,217 +1,157 @@
-"""The numbers of the first screen, from the rows of the runs alone: plain loops over parquet files, and
-nothing of the report's tables or functions.
+"""The first screen of the committed report in a real browser: a sentence, drones that fly by themselves,
+one figure.
 """
 
-import itertools
-import re
-from pathlib import Path
+import time
 
-import numpy as np
-import pandas as pd
 import pytest
-from tied import LINK
-
-ROOT = Path(__file__).parent.parent
-RESULTS = ROOT / "results"
-FIRST = (
-    (ROOT / "README.md").read_text().partition("<!-- results -->")[2].partition("<!-- end of results -->")[0]
+from browsing import (
+    NARROW,
+    RESULTS,
+    WIDE,
+    complaints,
+    find,
+    forget,
+    one,
+    press,
+    requested,
+    resize,
+    theme,
+    unfold,
+    violations,
+    wait,
 )
-FOUR = ("tanh", "sigmoid", "relu", "leaky_relu")
-PRINTED = {"tanh": 88.527, "sigmoid": 31.117, "relu": 43.598, "leaky_relu": 33.8}
-STEPS = {"tanh": 2727.577, "sigmoid": 1538.434, "relu": 1730.587, "leaky_relu": 1444.961}
-DQN_REWARD = {"tanh": -6.982, "sigmoid": -5.666, "relu": -7.616, "leaky_relu": -7.406}
-DQN_STEPS = {"tanh": 159.434, "sigmoid": 211.367, "relu": 205.576, "leaky_relu": 209.794}
-FRAMES = {"ppo": 1_001_472, "dqn": 1_000_000}
-LABELS = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "leaky ReLU"}
+from selenium.webdriver.common.keys import Keys
+from tied import MOST_WORDS, words
+
+pytestmark = pytest.mark.slow
+
+REPORT = RESULTS / "report.html"
+SCREENS = [(WIDE, 800), (NARROW, 844)]
+HEIGHT_BEFORE = {WIDE: 42_118, NARROW: 52_843}
+"""Of the page before sections were folded [px], by width."""
+PICTURES = "return [...document.querySelectorAll('.together canvas')].map((one) => one.toDataURL())"
 
 
-def trained(algorithm, activation):
-    return pd.read_parquet(RESULTS / "paper" / algorithm / activation / "episodes.parquet")
+def visit(browser, width=WIDE, height=800, motion="reduce", colours="light"):
+    forget(browser)
+    resize(browser, width, height)
+    theme(browser, colours, motion)
+    browser.get("about:blank")
+    browser.get(REPORT.as_uri())
+    wait(browser, lambda: one(browser, ".together output").text)
+    return browser
 
 
-@pytest.fixture(scope="module")
-def per_frame():
-    """Reward over frames: a number a seed."""
-    return {
-        (algorithm, one): trained(algorithm, one).groupby("seed")["reward"].sum().to_numpy()
-        / FRAMES[algorithm]
-        for algorithm, one in itertools.product(FRAMES, FOUR)
-    }
-
-
-def last_100(rewards):
-    return [np.mean(rewards[max(0, n - 100) : n]) for n in range(1, len(rewards) + 1)]
-
-
-@pytest.fixture(scope="module")
-def logs():
-    """By configuration and seed: when each episode ended, and the mean of the last 100 then."""
-    found = {}
-    for key in itertools.product(FRAMES, FOUR):
-        rows = trained(*key)
-        rows = rows[rows["terminated"] | rows["truncated"]].sort_values(["seed", "frame"], kind="stable")
-        found[key] = [
-            (own["frame"].to_numpy(), np.array(last_100(own["reward"].to_numpy())))
-            for _, own in rows.groupby("seed")
-        ]
-    return found
-
-
-@pytest.fixture(scope="module")
-def logged(logs):
-    """The mean of Stable-Baselines3's log: DQN's of every fourth episode, PPO's every 2,048 frames."""
-    found = {}
-    for (algorithm, one), seeds in logs.items():
-        means = []
-        for ends, held in seeds:
-            if algorithm == "dqn":
-                means.append(held[3::4].mean())
-            else:
-                at = np.searchsorted(ends, np.arange(2048, FRAMES["ppo"] + 1, 2048), side="right")
-                means.append(held[at[at > 0] - 1].mean())
-        found[algorithm, one] = np.array(means)
-    return found
-
-
-@pytest.fixture(scope="module")
-def flown():
-    """Reward of sampled and greedy test episodes: by configuration and mode, a number a seed."""
-    found = {}
-    for algorithm, one in itertools.product(FRAMES, FOUR):
-        rows = pd.read_parquet(RESULTS / "paper" / algorithm / one / "evaluation.parquet")
-        for mode, own in rows.groupby("mode"):
-            found[algorithm, one, mode] = own.groupby("seed")["reward"].mean().to_numpy()
-    return found
-
-
-def of_folder(*parts):
-    rows = pd.read_parquet(RESULTS.joinpath(*parts) / "evaluation.parquet").query("mode == 'sampled'")
-    return rows.groupby("seed")["reward"].mean().to_numpy()
-
-
-def lines(begin):
-    """The text of the bullet or row that begins so, its links as words."""
-    (line,) = [line for line in FIRST.splitlines() if line.startswith(begin)]
-    return LINK.sub(r"\1", line)
-
-
-def says(line, value, digits=0):
-    assert re.search(
-        rf"(?<![\d.,]){re.escape(f'{value:.{digits}f}'.replace('-', '−'))}(?![\d,]|\.\d)", line
-    ), (
-        value,
-        line,
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_sentence_three_drones_and_figure_lie_within_the_first_screen(chrome, width, height):
+    visit(chrome, width, height)
+    seen = find(
+        chrome,
+        "h1, .together canvas, .together figcaption, .together button, #figure-configurations-episodes img",
     )
+    assert len(seen) == 1 + 3 + 3 + 1 + 1
+    for element in seen:
+        box = element.rect
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width
+        assert box["y"] >= 0
+        assert box["y"] + box["height"] <= height
+        assert min(box["width"], box["height"]) > 15
+    assert complaints(chrome) == []
 
 
-def welch(samples, weights):
-    """The standard error of a contrast and Student's 97.5 % quantile, by Welch and Satterthwaite."""
-    from scipy.stats import t
-
-    parts = [w * w * one.var(ddof=1) / len(one) for one, w in zip(samples, weights, strict=True)]
-    df = sum(parts) ** 2 / sum(p * p / (len(one) - 1) for p, one in zip(parts, samples, strict=True))
-    return sum(parts) ** 0.5 * t.ppf(0.975, df)
-
-
-def test_ppo_leads_dqn_by_this_share_of_the_papers_lead(per_frame):
-    line = lines("- PPO earns")
-    lead = np.mean([per_frame["ppo", one].mean() - per_frame["dqn", one].mean() for one in FOUR])
-    printed = np.mean([PRINTED[one] / STEPS[one] - DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR])
-    says(line, 1000 * lead, 1)
-    says(line, 1000 * printed, 1)
-    says(line, 100 * lead / printed)
-    pairs = itertools.product(FOUR, FOUR)
-    assert min(per_frame["ppo", a].mean() - per_frame["dqn", b].mean() for a, b in pairs) > 0
+def test_the_drones_fly_without_a_click_and_a_button_stops_them(chrome):
+    visit(chrome, motion="no-preference")
+    before = chrome.execute_script(PICTURES)
+    assert len(set(before)) == 3
+    wait(chrome, lambda: all(a != b for a, b in zip(chrome.execute_script(PICTURES), before, strict=True)))
+    chrome.execute_script("arguments[0].focus()", one(chrome, ".together button"))
+    press(chrome, Keys.SPACE)
+    assert one(chrome, ".together button").text == "Play"
+    still = chrome.execute_script(PICTURES)
+    time.sleep(0.3)
+    assert chrome.execute_script(PICTURES) == still
+    assert [url for url in requested(chrome) if not url.startswith(("data:", "about:"))] == [REPORT.as_uri()]
+    assert complaints(chrome) == []
 
 
-def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_frame, logs, flown):
-    line = lines("- DQN's best activation")
-    best = max(per_frame["dqn", one].mean() for one in FOUR if one != "sigmoid")
-    printed = {one: DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR}
-    lead = printed["sigmoid"] - max(value for one, value in printed.items() if one != "sigmoid")
-    says(line, 100 * (per_frame["dqn", "sigmoid"].mean() - best) / lead)
-    windows = []
-    for ends, held in logs["dqn", "sigmoid"]:
-        frames = np.arange(1_000_000)
-        at = np.searchsorted(ends, frames, side="right")
-        log = np.where(at > 0, held[at - 1], np.nan)
-        windows.append(
-            [np.nanmean(log[a:b]) for a, b in ((0, 300_000), (300_000, 600_000), (900_000, 1_000_000))]
-        )
-    before, surge, after = np.array(windows).T
-    says(line, 100 * (surge - after).mean() / (surge - before).mean())
-    assert (before.mean(), surge.mean(), after.mean()) == pytest.approx((-4.8, 14.9, 0.9), abs=0.06)
-    assert sum((surge - after) / (surge - before) > 0.5) == 33
-    assert max(FOUR, key=lambda one: flown["dqn", one, "sampled"].mean()) != "sigmoid"
+def test_under_reduced_motion_the_drones_wait_in_mid_episode_until_they_are_asked(chrome):
+    visit(chrome)
+    before = chrome.execute_script(PICTURES)
+    time.sleep(0.5)
+    assert chrome.execute_script(PICTURES) == before
+    assert "step 240" in find(chrome, ".together output")[-1].text  # of the rule, which flies on
+    one(chrome, ".together button").click()
+    wait(chrome, lambda: chrome.execute_script(PICTURES) != before)
 
 
-def test_one_run_a_configuration_would_name_tanh_and_give_the_papers_order_so_often(per_frame, logged):
-    line = lines("- PPO's ranking")
-    others = [per_frame["ppo", one].mean() for one in FOUR if one != "tanh"]
-    says(line, 1000 * (max(others) - per_frame["ppo", "tanh"].mean()), 1)
-    draws = np.random.default_rng(0).integers(40, size=(4, 400_000))
-    tanh, sigmoid, relu, leaky = (logged["ppo", one][own] for one, own in zip(FOUR, draws, strict=True))
-    best = np.mean((tanh > sigmoid) & (tanh > relu) & (tanh > leaky))
-    order = np.mean((tanh > relu) & (relu > leaky) & (leaky > sigmoid))
-    assert (best, order) == (pytest.approx(0.30, abs=0.005), pytest.approx(0.02, abs=0.003))
-    says(line, 30)
-    says(line, 2)
+def test_an_episode_that_ends_says_how_and_when(chrome):
+    visit(chrome)
+    words = "const page = document.getElementById('together').cloneNode(true);"
+    words += "const data = JSON.parse(document.getElementById('together-data').textContent);"
+    words += (
+        "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
+    )
+    words += "return one.drones.map(({ output, episode }) =>"
+    words += " [output.textContent, episode.ended, episode.steps]); })"
+    for said, ended, n in chrome.execute_script(words):
+        assert said.endswith(f", {'collided' if ended == 'collision' else 'stopped'} at step {n:,}")
 
 
-def test_ppos_lead_by_settings():
-    line = lines("- PPO's lead depends")
-    tuning = RESULTS / "tuning"
-    folders = [next(tuning.glob(f"tuned/*/{one}/tanh")) for one in FRAMES]
-    usual = [of_folder(tuning / "default" / one / "tanh") for one in FRAMES]
-    fast = [of_folder("algorithms", "fast", one, name) for one in FRAMES for name in ("tanh", "sigmoid")]
-    found = [of_folder(one) for one in folders]
-    leads = []
-    for samples, weights in (
-        (usual, (1, -1)),
-        (fast, (0.5, 0.5, -0.5, -0.5)),
-        (found, (1, -1)),
-        ([*fast, *found], (0.5, 0.5, -0.5, -0.5, -1, 1)),
-    ):
-        lead = sum(w * one.mean() for one, w in zip(samples, weights, strict=True))
-        half = welch(samples, weights)
-        leads.append(lead)
-        for value in (lead, lead - half, lead + half):
-            says(line, value)
-    assert leads == pytest.approx([226, 155, -17, 172], abs=0.5)
+def test_the_palette_of_a_site_recolours_the_drones(chrome):
+    visit(chrome)
+    before = chrome.execute_script(PICTURES)
+    chrome.execute_script(
+        "document.querySelector('.first').style.cssText = '--drone-1: red; --drone-2: red; --drone-3: red';"
+        "document.body.setAttribute('data-md-color-scheme', 'slate')"
+    )
+    wait(chrome, lambda: all(a != b for a, b in zip(chrome.execute_script(PICTURES), before, strict=True)))
 
 
-def test_the_scripted_policy_is_ahead_of_the_best_mean_and_single_seeds_pass_it(flown):
-    line = lines("- A scripted policy")
-    rule = pd.read_parquet(RESULTS / "baselines" / "reactive.parquet")["reward"].mean()
-    best = max(own.mean() for (_, _, mode), own in flown.items() if mode == "sampled")
-    says(line, rule - best)
-    for mode, count in (("sampled", 4), ("greedy", 8)):
-        assert sum(int((flown["ppo", one, mode] > rule).sum()) for one in FOUR) == count
-        says(line, count)
-    noisy = "reactive-test-200-2000-noise=5.parquet"
-    scripted = pd.read_parquet(RESULTS / "worlds" / "baselines" / noisy)["reward"].mean()
-    says(line, scripted)
+def test_the_sentence_is_short_and_its_number_leads_to_its_row_and_the_drones_have_names(chrome):
+    visit(chrome)
+    assert 5 < len(words(one(chrome, "h1").text)) <= MOST_WORDS
+    link = one(chrome, "h1 a")
+    assert link.get_dom_attribute("href").startswith("#row-verdicts-")
+    chrome.execute_script("arguments[0].click()", link)
+    wait(chrome, lambda: one(chrome, "tr:target").is_displayed())
+    assert "0.8864" in one(chrome, "tr:target").text  # the share that the sentence has in %
+    names = [
+        canvas.get_dom_attribute("aria-label").split(",")[0] for canvas in find(chrome, ".together canvas")
+    ]
+    assert [name.split()[0] for name in names] == ["PPO", "DQN", "scripted"]
+    shown = "return [...document.querySelectorAll('.together strong')].map((one) => one.textContent)"
+    assert chrome.execute_script(shown) == names
 
 
-@pytest.mark.parametrize("algorithm", FRAMES)
-@pytest.mark.parametrize("activation", FOUR)
-def test_the_table_of_rewards(algorithm, activation, logged, flown):
-    line = lines(f"| {algorithm.upper()} {LABELS[activation]} |")
-    _, _, printed, training, unseen, _ = line.split("|")
-    says(printed, (PRINTED if algorithm == "ppo" else DQN_REWARD)[activation], 1)
-    for shown, seeds in (
-        (training, logged[algorithm, activation]),
-        (unseen, flown[algorithm, activation, "sampled"]),
-    ):
-        number = shown.split()[0]
-        says(shown, seeds.mean(), len(number.partition(".")[2]))
-        low, high = (
-            float(one.replace("−", "-").replace(",", "")) for one in re.findall(r"[−\d.,]+\d", shown)[1:]
-        )
-        assert low < seeds.mean() < high
-        assert high - low == pytest.approx(2 * 2.02 * seeds.std(ddof=1) / 40**0.5, rel=0.15)
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_the_page_as_it_opens_is_at_most_half_as_tall_as_it_was(chrome, width, height):
+    visit(chrome, width, height)
+    assert chrome.execute_script("return document.documentElement.scrollHeight") < HEIGHT_BEFORE[width] / 2
 
 
-def test_the_scripted_policys_reward_ends_the_table():
-    rule = pd.read_parquet(RESULTS / "baselines" / "reactive.parquet")["reward"].mean()
-    says(lines("| scripted policy"), rule)
+def test_at_390_px_every_figure_is_whole_and_drawn_for_it_with_words_that_can_be_read(chrome):
+    visit(chrome, NARROW, 844)
+    unfold(chrome)
+    pictures = find(chrome, ".plot img")
+    assert len(pictures) == len([*(RESULTS / "figures").glob("*.svg")])
+    for picture in pictures:
+        wait(chrome, lambda picture=picture: picture.get_property("naturalWidth"))
+        shown, drawn = picture.rect["width"], picture.get_property("naturalWidth")
+        assert picture.rect["x"] >= 0
+        assert picture.rect["x"] + shown <= NARROW
+        assert shown / drawn * 16 > 11  # [px] of letters that are drawn with 12 pt
+
+
+def test_the_page_takes_less_than_6_mb():
+    assert REPORT.stat().st_size < 6e6
+
+
+@pytest.mark.parametrize(("width", "colours"), [(WIDE, "light"), (NARROW, "dark")])
+def test_axe_finds_nothing_on_the_page_as_it_opens(chrome, width, colours):
+    visit(chrome, width, colours=colours)
+    chrome.execute_script(
+        "document.querySelectorAll('details > :not(summary)').forEach((one) => one.remove())"
+    )
+    assert violations(chrome) == []

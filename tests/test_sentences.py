@@ -14,15 +14,17 @@ from verdict_evidence import evidence as seeds_around
 from verdict_evidence import of_metric, of_paper_per_frame
 
 from uavnav.report import evidence, frames, tables, whys
-from uavnav.report.claims import CLAIMS, EVERY, PRIMARY
-from uavnav.report.page import SECTIONS, linked, listed, page, plain, said
+from uavnav.report.claims import CLAIMS, EVERY, TRAINING
+from uavnav.report.page import SECTIONS, page, said
 from uavnav.report.quotes import STUDY, Quotes, Untrue, block, prose
+from uavnav.report.templating import inline, listed, plain
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
 
 RESULTS = Path(__file__).parent.parent / "results"
 BLOCKS = sorted(STUDY.blocks)
-WORDS = {"5", "6", "8", "16", "20", "26", "48", "0.001", "0.03", "10,000", "300,000", "600,000", "100,000"}
+WORDS = {"1", "5", "6", "8", "10", "12", "16", "20", "26", "40", "46", "48", "160", "200", "0.001", "0.03"}
+WORDS |= {"2,000", "10,000", "100,000", "300,000", "500,000", "600,000"}
 """Numbers of settings, and of how many there are, which no row holds."""
 
 
@@ -68,13 +70,13 @@ def test_no_sentence_with_a_sign_holds_over_rows_of_the_other_sign(name, numbers
 
 def test_all_but_a_few_claims_and_all_whys_have_a_sentence_with_a_sign():
     unsigned = {name for name in BLOCKS if name.startswith(("claim_", "why_"))} - {*SIGNED}
-    assert unsigned == {"claim_11"}
+    assert unsigned == {"claim_5", "claim_11"}
 
 
 def test_every_claim_question_and_section_has_its_sentence():
     assert {f"claim_{claim.number}" for claim in EVERY} <= {*BLOCKS}
     assert {f"why_{question.name}" for question in whys.QUESTIONS} <= {*BLOCKS}
-    assert {f"of_{section}" for section in SECTIONS} - {*BLOCKS} == {"of_verdicts", "of_methods"}
+    assert {f"of_{section}" for section in SECTIONS} - {*BLOCKS} == {"of_verdicts", "of_methods", "of_rows"}
 
 
 MADE = pd.DataFrame(
@@ -110,11 +112,25 @@ def test_a_quote_of_no_row_of_two_rows_and_of_no_table_is_untrue():
         quotes.check(MADE["value"].max() == 2)
 
 
-def test_claims_of_a_grade_are_these_and_no_others(numbers):
+def test_a_claim_has_these_grades_in_its_columns_and_no_others(numbers):
     quotes = Quotes(numbers)
-    assert quotes.graded("does not", 2, 6, 12, 14, 15) == "5"
-    with pytest.raises(Untrue):
-        quotes.graded("does not", 2, 6)
+    assert quotes.grade(2, "does not", "smaller", "open", "–") == ""
+    for other in (("does not", "open", "open", "–"), ("does not", "smaller", "open", "open")):
+        with pytest.raises(Untrue):
+            quotes.grade(2, *other)
+
+
+def test_a_part_that_does_not_count_is_never_what_a_sentence_shows(numbers):
+    quotes = Quotes(numbers)
+    assert quotes.claim(1, "+").startswith("[")
+    for number, text in (
+        (6, "reward: PPO with sigmoid worse than each other activation"),  # too small for 40 seeds
+        (3, "speed: DQN with sigmoid better than each other activation"),  # the paper contradicts itself
+    ):
+        with pytest.raises(Untrue, match="does not count"):
+            quotes.claim(number, "", text=text)
+    with pytest.raises(Untrue, match="no part"):
+        quotes.claim(5, "")
 
 
 def test_a_folder_of_a_few_runs_has_no_sentence_of_the_study(gathered, numbers):
@@ -139,7 +155,7 @@ def test_the_prose_is_of_the_study_that_answers_for_the_paper_alone_whose_runs_n
 
 def test_a_line_of_markdown_has_its_links_on_a_page_and_nothing_else_of_it_is_html():
     line = "A [5 < 6](tables/a.csv#L2) & [b](c)."
-    assert linked(line) == 'A <a href="tables/a.csv#L2">5 &lt; 6</a> &amp; <a href="c">b</a>.'
+    assert inline(line) == 'A <a href="#row-a-2">5 &lt; 6</a> &amp; <a href="c">b</a>.'
     assert plain(line) == "A 5 < 6 & b."
     assert listed("- a\n- b") == ["a", "b"]
     assert listed("") == []
@@ -147,7 +163,7 @@ def test_a_line_of_markdown_has_its_links_on_a_page_and_nothing_else_of_it_is_ht
 
 def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):
     ours = seeds_around(of_metric("reward", [0.1] * 4, [0.0] * 4), spread=0.001)
-    assert frames.verdicts({PRIMARY: audit(ours, of_paper_per_frame)})["claim"].nunique() == len(CLAIMS)
+    assert frames.verdicts({TRAINING: audit(ours, of_paper_per_frame)})["claim"].nunique() == len(CLAIMS)
     _, *rows = evidence.against_itself(numbers)
     assert [(number, text.partition(":")[0]) for number, text, _ in rows] == [
         *(("1", "speed"), ("1", "turning"), ("1", "speed"), ("2", "full stops"), ("2", "speed")),
@@ -156,24 +172,19 @@ def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):
     assert [LINK.sub(r"\1", shown) for *_, shown in rows[:2]] == ["−0.35", "−0.74"]
 
 
-def test_episodes_are_the_rules_and_those_of_each_algorithms_best_configuration_the_highest_reward_first():
-    columns = frames.gaps({}, {}).columns
-    rows = [["reactive", "", "scripted", 10_000, 1, 200, 1.0, 428.0, None, None, 0.04, *[None] * 4]]
-    for who, mode, reward, half in (
-        ("PPO sigmoid", "sampled", 228.0, 50),
-        ("PPO relu", "sampled", 217.0, 40),
-        ("PPO relu", "greedy", 500.0, 40),
-        ("DQN leaky_relu", "sampled", 20.0, 9),
-    ):
-        gap = reward - 428.0
-        own = [reward, reward - half, reward + half, 0.02, gap, gap - half, gap + half, 0.1]
-        rows.append([who, who[:3].lower(), mode, 10_000, 20, 4000, 0.4, *own])
-    _, *shown = tables.episodes(pd.DataFrame(rows, columns=columns), "results/")
-    assert [row[0] for row in shown] == [
-        *("PPO with ReLU, greedy", "a scripted policy (`reactive`)", "PPO with sigmoid, sampled"),
-        "DQN with leaky ReLU, sampled",
+def test_the_table_of_rewards_has_the_papers_ours_in_training_and_on_unseen_layouts_and_the_scripted_policys(
+    numbers,
+):
+    header, *rows, rule = tables.rewards(numbers, "results/")
+    assert header[1:] == ["the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]
+    assert [row[0] for row in rows] == [
+        f"{algorithm} {name}"
+        for algorithm in ("PPO", "DQN")
+        for name in ("tanh", "sigmoid", "ReLU", "leaky ReLU")
     ]
-    assert shown[1] == ["a scripted policy (`reactive`)", "[428](results/tables/gaps.csv#L2)", "–", "100%"]
-    assert shown[2][1:] == ["[228 (178 to 278)](results/tables/gaps.csv#L3)", "−200 (−250 to −150)", "40%"]
-    nothing = tables.episodes(pd.DataFrame(columns=columns))
-    assert nothing == [["test episodes", "reward", "gap to the rule", "still flying at the limit"]]
+    shown = [LINK.sub(r"\1", cell) for cell in rows[0][1:]]
+    assert shown == ["88.5", "68.2 [60.4, 77.2]", "152 [109, 195]"]
+    assert [untied(" ".join(row[2:]), RESULTS) for row in (*rows, rule)] == [[]] * 9
+    assert LINK.sub(r"\1", rule[-1]) == "428"
+    nothing = {"metrics": numbers["metrics"][:0], "gaps": numbers["gaps"][:0]}
+    assert [row[1:] for row in tables.rewards(nothing)[1:]][-2:] == [["−7.4", "–", "–"], ["–"] * 3]

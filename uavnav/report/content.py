@@ -136,11 +136,11 @@ def gather(
         episodes, by_layout, watched, problems = watch(sorted_configurations)
         baselines, unread = frames.baselines(folders)
         tuned, winners, untuned = tuning.read(folders, baselines)
-        tell("judging the claims")
         evidence = {
             definition: Rows(sorted_configurations, definition, episodes, by_layout, winners)
             for definition in DEFINITIONS
         }
+        tell("judging the claims")
         audits, errs = {}, []
         for column, definition in COLUMNS.items():
             printed = functools.partial(studies.of_paper, definition=definition)
@@ -182,7 +182,7 @@ def gather(
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
-        numbers["operating"] = pd.concat(errs, ignore_index=True)
+        numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
         tell("drawing figures")
         drawn, narrow = (
             figures.draw(of_paper, numbers, watched, survival, of_worlds, width)

@@ -28,7 +28,7 @@ def results(content: Content) -> str:
 
 
 def summary(content: Content) -> str:
-    """The README's findings, the episodes of the best beside the rule's, and a row a claim."""
+    """The README's findings, and the rewards in the paper, in training and on unseen layouts."""
     return render("summary.md", content, root="results/").strip()
 
 

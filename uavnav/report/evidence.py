@@ -13,7 +13,7 @@ from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import COUNTS, of_claim
+from uavnav.report.verdicts import COUNTS, OPEN, of_claim
 
 
 class Row(NamedTuple):
@@ -23,6 +23,7 @@ class Row(NamedTuple):
     sentence: str  # of the paper
     note: str
     column: str  # that its sentence is about
+    grade: str  # in that column
     grades: dict[str, str]  # by column, with the seeds; a dash where it cannot answer
     said: str  # what our seeds say, in Markdown
     parts: dict[str, tables.Rows]  # by column that answers
@@ -39,23 +40,28 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
 def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quotes) -> Row:
     found = {column: of_claim(content.audits[column], claim.number) for column in COLUMNS}
     grades = content.tables["grades"]
-    own = grades[grades["claim"] == claim.number].set_index("column")
+    own = grades[grades["claim"] == claim.number]
     return Row(
         claim.number,
         claim.sentence,
         claim.note,
         claim.column,
-        {column: graded(own.loc[column]) if column in own.index else tables.NOTHING for column in COLUMNS},
+        next(iter(own.loc[own["column"] == claim.column, "grade"]), OPEN),
+        {column: _graded(own[own["column"] == column], quotes) for column in COLUMNS},
         prose[f"claim_{claim.number}"] or _generic(claim, content, quotes),
-        {column: tables.audit_rows(parts) for column, parts in found.items() if column in own.index},
+        {column: tables.audit_rows(found[column]) for column in COLUMNS if column in [*own["column"]]},
     )
 
 
-def graded(row: pd.Series) -> str:
-    """A claim's grade and the seeds behind it, of a row of `frames.grades`."""
-    seeds = " to ".join(map(str, dict.fromkeys([row["least"], row["most"]])))
-    counts = f" {row['replicating']}/{row['counting']}" * bool(row["counting"] > 0)
-    return f"{row['grade']}{counts}, n = {seeds}"
+def _graded(own: pd.DataFrame, quotes: Quotes) -> str:
+    """A claim's grade in a column, how many of its parts replicate, and the seeds behind it; a dash without a
+    row of `frames.grades`.
+    """
+    for place, one in own.iterrows():
+        seeds = " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
+        counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
+        return f"{quotes.link(one['grade'], 'grades', int(str(place)))}{counts}, n\u00a0=\u00a0{seeds}"
+    return tables.NOTHING
 
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:

@@ -145,11 +145,8 @@ def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
     """Every part of every claim in every column of `claims.COLUMNS`."""
-    parts = [
-        pd.DataFrame(findings, columns=Finding._fields).assign(column=column)
-        for column, findings in audits.items()
-    ]
-    return pd.concat(parts, ignore_index=True)
+    rows = [(*finding, column) for column, findings in audits.items() for finding in findings]
+    return pd.DataFrame(rows, columns=[*Finding._fields, "column"])
 
 
 def grades(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:

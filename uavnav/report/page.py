@@ -26,7 +26,7 @@ from uavnav.report.mine import pictures as mine_pictures
 from uavnav.report.quotes import prose
 from uavnav.report.templating import HERE, TEMPLATES, Source, plain, source
 from uavnav.report.templating import page as fill
-from uavnav.report.verdicts import GRADES, SEEDS
+from uavnav.report.verdicts import SEEDS
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, SAMPLED
 from uavnav.runs.metrics import LAST, MODES
@@ -75,7 +75,6 @@ TEMPLATES.globals |= {
     "log_curve": LOG_CURVE,
     "least_seeds": SEEDS,
     "decisions": DECISIONS,
-    "kinds": GRADES,
     "TITLE": TITLE,
 }
 

@@ -343,12 +343,6 @@ def predictions(frame: pd.DataFrame, definition: str) -> Rows:
     return rows
 
 
-def frame(found: pd.DataFrame) -> Rows:
-    """Any table as it is."""
-    rows = [["" if pd.isna(cell) else str(cell) for cell in row] for row in found.itertuples(index=False)]
-    return [list(map(str, found.columns)), *rows]
-
-
 def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -> Rows:
     """A header and rows: for each activation the paper's, then every metric definition of each configuration:
     means, interquartile means.
@@ -466,20 +460,18 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
         of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
         own = flown[flown["who"] == name(algorithm, activation)]
         printed = number(paper.printed(algorithm, activation, "reward"), 1)
-        ours = _cited(of, MEAN, "metrics", root), _cited(own, REWARD, "gaps", root)
+        ours = _cited(of, MEAN, 1, "metrics", root), _cited(own, REWARD, 0, "gaps", root)
         rows.append([f"{algorithm.upper()} {NAMES[activation]}", printed, *ours])
-    rule = _cited(flown[flown["who"] == RULE], REWARD, "gaps", root)
+    rule = _cited(flown[flown["who"] == RULE], REWARD, 0, "gaps", root)
     return [*rows, ["scripted policy, exact sensing", NOTHING, NOTHING, rule]]
 
 
-def _cited(rows: pd.DataFrame, columns: Sequence[str], table: str, root: str) -> str:
+def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, root: str) -> str:
     """The number of a table's one row with its interval, and a link to it; a dash where there is none."""
-    if rows.empty:
-        return NOTHING
-    shown, bracket, interval = _interval(
-        rows.iloc[0], columns, digits(stats.Interval(*rows.iloc[0][list(columns)], 0))
-    ).partition(" [")
-    return f"[{shown}]({root}tables/{table}.csv#L{rows.index[0] + 2}){bracket}{interval}"
+    for place, one in zip(rows.index, _records(rows), strict=True):
+        shown, *interval = _interval(one, columns, digits).partition(" [")
+        return f"[{shown}]({root}tables/{table}.csv#L{place + 2}){''.join(interval)}"
+    return NOTHING
 
 
 def tuned(found: pd.DataFrame) -> Rows:
@@ -570,7 +562,7 @@ def run_table(configurations: list[Configuration]) -> Rows:
 
 def of_words(rows: Rows) -> list[bool]:
     """Which columns of a table hold words, and which numbers."""
-    return [any(row[place][:1].isalpha() for row in rows[1:]) for place in range(len(rows[0]))]
+    return [any(row[place].lstrip("[")[:1].isalpha() for row in rows[1:]) for place in range(len(rows[0]))]
 
 
 def markdown(rows: Rows) -> str:

@@ -296,7 +296,10 @@ def test_files_of_spheres_are_what_their_seed_generates_and_fly_in_their_world_a
             {"world": {"depth": 280}},
             "depth=280; give above 280 px, or two opposite walls are in reach at once",
         ),
-        ({"world": {"speed_max": 1.0}}, "there is no key 'world.speed_max'; choose from "),
+        (
+            {"world": {"speed_max": 1.0}},
+            "there is no key 'world.speed_max'; did you mean world.obstacle_radius_max? ",
+        ),
         ({"layouts": torch.ones(2, 3, 3)}, "layouts have the shape [n > 0, k, 4], not [2, 3, 3]"),
         (
             {"layouts": torch.tensor([[[400.0, 300, 340, 30]]])},

@@ -129,11 +129,13 @@ def test_the_end_is_a_sentence_beside_the_scripted_policy_where_that_flies_the_s
         {"mode": ["sampled"] * 4 + ["greedy"], "truncated": [True] * 3 + [False] * 2, "reward": [312.4] * 5}
     )
     rows.attrs["max_steps"] = 10_000
-    words = "75% of episodes reach the limit of 10,000 steps; reward 312"
+    words = "sampled, 75% of episodes reach the limit of 10,000 steps; reward 312"
     assert summary.verdict(rows, PPOConfig()) == f"{words}, the scripted policy 428"
     assert summary.verdict(rows, PPOConfig(reward="initial")) == words
     goal = rows.assign(succeeded=[1, 1, 1, 1, 0])
-    assert summary.verdict(goal, PPOConfig(task="goal")).startswith("100% of episodes reach the goal; ")
+    assert summary.verdict(goal, PPOConfig(task="goal")).startswith(
+        "sampled, 100% of episodes reach the goal; "
+    )
 
 
 def test_what_the_scripted_policy_earns_is_the_mean_of_its_committed_rows():

@@ -123,7 +123,7 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
 def words(one: Mapping[str, Any]) -> list[str]:
     """A run as the table shows it, by `COLUMNS`."""
     first, last = one["seeds"]
-    done = one["frames"] == one["total"]
+    done = one["status"] in ("finished", "shipped")
     return [
         one["run"],
         f"{one['algorithm']} {one['activation']}",
@@ -160,7 +160,8 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
         if "lately" in one:
             now = one["frames"], one["total"], one.get("frames_per_second")
             training += [Text(one["run"]), Text(f"  {line(*now, Lately(**one['lately']))}"), Text()]
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    told = "sampled, greedy: mean reward of a test episode"
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), caption=told, caption_justify="left")
     for name, justify in COLUMNS.items():
         table.add_column(name, justify=justify, no_wrap=name != "run", overflow="fold")
     for one in rows:

@@ -10,6 +10,7 @@ import json
 import math
 import re
 import shlex
+import signal
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ from uavnav import plugins, studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.cli.help.render import render
-from uavnav.errors import ConfigError, complain, told, unknown, unknown_key
+from uavnav.errors import ConfigError, OneLineError, complain, told, unknown, unknown_key
 from uavnav.evaluation import MAX_STEPS, Protocol, evaluate_run, summary
 from uavnav.runs import Run
 from uavnav.runs.policies import Diverged
@@ -67,6 +68,12 @@ class Command(Settings):
 
     def check(self) -> None:
         chosen(self.logger)
+
+
+class Unevaluated(OneLineError):
+    """A run's evaluation was stopped by Ctrl-C."""
+
+    status = 128 + signal.SIGINT
 
 
 class Order(NamedTuple):
@@ -260,7 +267,10 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
     if command.evaluate and not (finished.path / protocol.file("evaluation")).exists():
         if not quiet:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
-        rows = evaluate_run(finished, quiet=quiet)
+        try:
+            rows = evaluate_run(finished, quiet=quiet)
+        except KeyboardInterrupt:
+            raise Unevaluated(f"{out}: trained, not evaluated; the same command evaluates it") from None
         if not quiet:
             summary.show(summary.of_evaluation(rows, finished))
             print(summary.verdict(rows, config))
@@ -284,7 +294,7 @@ def _next(runs: Sequence[Run], order: Order, names: Sequence[str]) -> str:
     commands = {
         "watch it": ["play" if shows(runs[-1].path) else "render", paths[-1], *with_plugins],
         "compare it": ["compare", *paths[-MOST_COMPARED:], "reactive", *with_plugins],
-        "train longer": [
+        "train anew": [
             "train",
             longer.algorithm,
             *(f"{name}={shown(value)}" for name, value in given.items()),

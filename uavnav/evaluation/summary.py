@@ -173,9 +173,9 @@ def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
     rows: as `evaluate_run` gives them on the test split; config: of the run.
     """
     flown, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
-    ends = f"{flown['truncated'].mean():.0%} of episodes reach the limit of {rows.attrs['max_steps']:,} steps"
+    ends = f"sampled, {flown['truncated'].mean():.0%} of episodes reach the limit of {rows.attrs['max_steps']:,} steps"
     if "succeeded" in flown:
-        ends = f"{flown['succeeded'].mean():.0%} of episodes reach the goal"
+        ends = f"sampled, {flown['succeeded'].mean():.0%} of episodes reach the goal"
     usual = (config.world, config.reward, config.faults) == (task.WORLD(), task.REWARD, NO_FAULTS)
     beside = f", the scripted policy {scripts.REWARDS[config.task]:,.0f}"
     told = f"{ends}; reward {flown['reward'].mean():,.0f}"
@@ -186,9 +186,10 @@ def report(run: Run) -> None:
     """Print the summary, what the seeds did last, how long the run took, and where it is."""
     show(of_run(run))
     lately = Lately(**run.meta["lately"])
+    first = f" ({lately.curve[0]:,.1f} at first)" if lately.curve else ""
     print(
         f"{sparkline(lately.curve)} in the last tenth, open episodes too: reward per 1,000 frames"
-        f" {with_spread(lately.rewards, 1)};\n"
+        f" {with_spread(lately.rewards, 1)}{first};\n"
         f"  {statistics.mean(lately.flying):.0%} of environments still fly, their episodes"
         f" {statistics.mean(lately.lengths):,.0f} steps long so far"
     )

@@ -292,7 +292,10 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     """Print the tables, and each run's learning curve as bars."""
     rows = tables.side_by_side(seeds_of(contenders))
     table = Table(
-        "", *_short(rows[0][1:]), title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None
+        "",
+        *_short(rows[0][1:]),
+        title=f"Means and 95 % intervals over seeds, sampled; {flown(contenders)}",
+        box=None,
     )
     table.title_justify = "left"
     for row in rows[1:]:

@@ -173,7 +173,8 @@ def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
     rows: as `evaluate_run` gives them on the test split; config: of the run.
     """
     flown, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
-    ends = f"sampled, {flown['truncated'].mean():.0%} of episodes reach the limit of {rows.attrs['max_steps']:,} steps"
+    share, limit = flown["truncated"].mean(), rows.attrs["max_steps"]
+    ends = f"sampled, {share:.0%} of episodes reach the limit of {limit:,} steps"
     if "succeeded" in flown:
         ends = f"sampled, {flown['succeeded'].mean():.0%} of episodes reach the goal"
     usual = (config.world, config.reward, config.faults) == (task.WORLD(), task.REWARD, NO_FAULTS)

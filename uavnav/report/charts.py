@@ -145,8 +145,9 @@ def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             if side * end > FARTHEST:
                 axes.plot(side * FARTHEST, row, marker, markersize=8, clip_on=False, **look)
         if abs(ratio) <= FARTHEST:
-            inside = {"markerfacecolor": "white"} if place else {}
-            axes.plot(ratio, row, "o", markersize=8, markeredgewidth=1.8, zorder=4, **look, **inside)
+            inside = "white" if place else look["color"]
+            look |= {"markersize": 8, "markeredgewidth": 1.8, "markerfacecolor": inside}
+            axes.plot(ratio, row, "o", zorder=4, **look)
         said.append(f"{name}, {column}: {style.said(Interval(ratio, low, high, 1)).replace('; n = 1', '')}")
     axes.set_xlim(-FARTHEST, FARTHEST)
     style.name_rows(axes, names)

@@ -97,7 +97,7 @@ def lines(begin):
 
 def says(line, value, digits=0):
     assert re.search(
-        rf"(?<![\d.,]){re.escape(f'{value:.{digits}f}'.replace('-', '−'))}(?![\d,]|\.\d)", line
+        rf"(?<![\d.,]){re.escape(f'{value:.{digits}f}'.replace('-', '−'))}(?!\d|[,.]\d)", line
     ), (
         value,
         line,
@@ -203,13 +203,12 @@ def test_the_table_of_rewards(algorithm, activation, logged, flown):
         (training, logged[algorithm, activation]),
         (unseen, flown[algorithm, activation, "sampled"]),
     ):
-        number = shown.split()[0]
-        says(shown, seeds.mean(), len(number.partition(".")[2]))
-        low, high = (
-            float(one.replace("−", "-").replace(",", "")) for one in re.findall(r"[−\d.,]+\d", shown)[1:]
-        )
+        places = len(shown.split()[0].partition(".")[2])
+        says(shown, seeds.mean(), places)
+        _, low, high = (float(one.replace("−", "-")) for one in re.findall(r"−?\d+(?:\.\d+)?", shown))
         assert low < seeds.mean() < high
-        assert high - low == pytest.approx(2 * 2.02 * seeds.std(ddof=1) / 40**0.5, rel=0.15)
+        half = 2.02 * seeds.std(ddof=1) / 40**0.5
+        assert high - low == pytest.approx(2 * half, rel=0.15, abs=1.01 * 10.0**-places)
 
 
 def test_the_scripted_policys_reward_ends_the_table():

@@ -379,7 +379,7 @@ def slopes(rungs: Sequence[float]) -> Array:
 def _slalom() -> list[Part]:
     """Two independent tests, at the widest narrow gap; what else the same policies do stands beside."""
     worlds = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
-    parts = list[Part]()
+    parts: list[Part] = []
     for (metric, label), gap, (world, words) in itertools.product(PASSAGES.items(), NARROW, worlds.items()):
         text = f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}"
         parts.append(_above(text, at(metric, "slalom", gap), "dqn", "ppo", world, beside=len(parts) > 1))

@@ -114,18 +114,18 @@ def welch(samples, weights):
 
 
 def test_ppo_leads_dqn_by_this_share_of_the_papers_lead(per_frame):
-    line = lines("- PPO earns")
+    line = lines("- PPO beats")
     lead = np.mean([per_frame["ppo", one].mean() - per_frame["dqn", one].mean() for one in FOUR])
     printed = np.mean([PRINTED[one] / STEPS[one] - DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR])
     says(line, 1000 * lead, 1)
     says(line, 1000 * printed, 1)
-    says(line, 100 * lead / printed)
+    says(lines("**PPO beats"), 100 * lead / printed)
     pairs = itertools.product(FOUR, FOUR)
     assert min(per_frame["ppo", a].mean() - per_frame["dqn", b].mean() for a, b in pairs) > 0
 
 
 def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_frame, logs, flown):
-    line = lines("- DQN's best activation")
+    line = lines("- Sigmoid is")
     best = max(per_frame["dqn", one].mean() for one in FOUR if one != "sigmoid")
     printed = {one: DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR}
     lead = printed["sigmoid"] - max(value for one, value in printed.items() if one != "sigmoid")

@@ -155,3 +155,19 @@ def test_axe_finds_nothing_on_the_page_as_it_opens(chrome, width, colours):
         "document.querySelectorAll('details > :not(summary)').forEach((one) => one.remove())"
     )
     assert violations(chrome) == []
+
+
+def test_a_claim_opens_by_enter_and_shows_its_table_and_closes_again(chrome):
+    visit(chrome)
+    unfold(chrome)
+    summary, table = one(chrome, "#claim-1 summary"), one(chrome, "#claim-1 table")
+    chrome.execute_script("document.getElementById('claim-1').open = false")
+    assert not table.is_displayed()
+    chrome.execute_script("arguments[0].focus()", summary)
+    press(chrome, Keys.ENTER)
+    wait(chrome, table.is_displayed)
+    assert {"the paper", "Holm's p", "seeds", "verdict"} < {
+        head.get_property("textContent") for head in find(chrome, "#claim-1 table:first-of-type thead th")
+    }
+    press(chrome, Keys.ENTER)
+    wait(chrome, lambda: not table.is_displayed())

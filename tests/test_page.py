@@ -204,20 +204,6 @@ def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_withou
         assert re.search(r"\d", said) or said == "No part that counts has runs."
 
 
-def test_a_claim_opens_by_enter_and_shows_its_table_and_closes_again(browser):
-    claim = one(browser, "#claim-1")
-    summary = claim.find_element(By.CSS_SELECTOR, "summary")
-    table = claim.find_element(By.CSS_SELECTOR, "table")
-    assert not table.is_displayed()
-    browser.execute_script("arguments[0].focus()", summary)
-    press(browser, Keys.ENTER)
-    wait(browser, table.is_displayed)
-    header = [configuration.text for configuration in table.find_elements(By.CSS_SELECTOR, "thead th")]
-    assert {"the paper", "Holm's p", "seeds", "verdict"} < {*header}
-    press(browser, Keys.ENTER)
-    wait(browser, lambda: not table.is_displayed())
-
-
 def test_a_replay_plays_pauses_by_space_and_its_end_says_what_happened(browser, player):
     slider, status = one(browser, ".replay [type=range]"), one(browser, ".replay-status")
     last = int(slider.get_attribute("max"))

@@ -253,6 +253,11 @@ def carry_out(tmp_path, monkeypatch, undrawn):
         program, *words = as_uavnav(shlex.split(command))
         assert program == "uavnav"
         tiny = TINY.get(" ".join(words[:2])) or TINY.get(words[0], []) if words else []
+        if words[:1] == ["train"] and not any(word.startswith("out=") or word == "-m" for word in words):
+            # the folder that the line as it stands would have
+            given = dict(word.split("=") for word in words[2:])
+            named = {key: given[key] for key in ("preset", "activation") if key in given}
+            tiny = [*tiny, f"out={ALGORITHMS[words[1]].config(**named).folder}"]
         return main([*(re.sub(r"^n_seeds=\d+$", "n_seeds=2", word) for word in words), *tiny])
 
     return run

@@ -464,7 +464,8 @@ def passing(gaps: pd.DataFrame) -> pd.DataFrame:
     `gaps` gives them.
     """
     learned = gaps[gaps["algorithm"] != ""]
-    counted = learned.assign(passing=(learned["above"] * learned["n"]).round())
+    shares = learned[["above", "n"]].astype("float64")  # a table without rows has no types
+    counted = learned.assign(passing=(shares["above"] * shares["n"]).round(), n=shares["n"])
     found = counted.groupby(["algorithm", "mode"], sort=False)[["passing", "n"]].sum()
     return found.astype("int64").reset_index()
 

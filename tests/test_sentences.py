@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from tied import LINK, too_long, untied
+from tied import LINK, WORDS, too_long, untied
 from verdict_evidence import evidence as seeds_around
 from verdict_evidence import of_metric, of_paper_per_frame
 
@@ -23,9 +23,6 @@ from uavnav.runs import paper
 
 RESULTS = Path(__file__).parent.parent / "results"
 BLOCKS = sorted(STUDY.blocks)
-WORDS = {"1", "5", "6", "8", "10", "12", "16", "20", "26", "40", "46", "48", "160", "200", "0.001", "0.03"}
-WORDS |= {"2,000", "10,000", "100,000", "300,000", "500,000", "600,000"}
-"""Numbers of settings, and of how many there are, which no row holds."""
 
 
 @pytest.fixture(scope="module")

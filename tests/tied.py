@@ -12,6 +12,9 @@ FACTORS = (1, 100, 1000)
 OF_WORDS = {"95", "100", "1,000", "14"}
 """Numbers that are words: 95 % intervals, in 100 steps, in 1,000 frames, eq. (14)."""
 MOST_WORDS = 25
+WORDS = {"1", "5", "6", "8", "10", "12", "16", "20", "26", "40", "46", "48", "160", "200", "0.001", "0.03"}
+WORDS |= {"2,000", "10,000", "100,000", "300,000", "500,000", "600,000"}
+"""Numbers of settings, and of how many there are, which no row holds."""
 
 
 def value_and_unit(shown):
@@ -82,5 +85,5 @@ def first_screen(page):
     header = page.split("<header>")[1].split("</header>")[0]
     verdicts = page.split('<section id="verdicts">')[1].split("</section>")[0]
     closed = re.sub(r"(?s)</summary>.*?</details>", "</summary>", verdicts)
-    parts = re.split(r"</?(?:p|li|h1|h2|span|summary)\b[^>]*>", header + closed)
+    parts = re.split(r"</?(?:p|li|h1|h2|span|summary|th|td|caption)\b[^>]*>", header + closed)
     return [text for part in parts if words(text := re.sub(r"<[^>]+>", "", part).strip())]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ TITLE = "DQN against PPO, four activation functions: what holds of the paper"
 PREVIEWED = 240
 """Steps of the episodes that the picture of a link shows."""
 DECISIONS = [
-    line.strip("| ").split(" | ")
+    re.sub(r"\[(.*?)\]\(.*?\)", r"\1", line).strip("| ").split(" | ")  # the page may lie without the docs
     for line in (HERE / "decisions.md").read_text(encoding="utf-8").splitlines()
     if not line.startswith("|--")
 ]

@@ -366,7 +366,7 @@ def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
     assert first.get_aspect() == 1.0
     assert drawn.alt == (
         "Paths flown, greedy, and their steps on layouts 0, 2: "
-        "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 still up, 5 still up."
+        "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 no crash, 5 no crash."
     )
 
 

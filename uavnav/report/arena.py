@@ -61,7 +61,7 @@ def trajectories(
                 x[-1], y[-1], "X" if crashed else "o", color=colour, markeredgecolor=style.INK, markersize=7
             )
             axes.set_xlabel(f"{len(path)} steps" if len(path) else "not flown", fontsize=11, labelpad=2)
-            ends.append(f"{len(path)} {'crash' if crashed else 'still up'}" if len(path) else "not flown")
+            ends.append(f"{len(path)} {'crash' if crashed else 'no crash'}" if len(path) else "not flown")
         seeds = f", seed {rows['seed'].iloc[0]}" if len(rows) else ""
         title = [*textwrap.wrap(name, int(9 * width) // len(one)), seeds[2:]]
         column[0].set_title("\n".join(title), fontsize=11)
@@ -71,7 +71,7 @@ def trajectories(
     handles = [
         style.mark("^", "start"),
         style.mark("X", "crash", markerfacecolor=style.PALE, markersize=8),
-        style.mark("o", "still up", markerfacecolor=style.PALE, markersize=7),
+        style.mark("o", "no crash", markerfacecolor=style.PALE, markersize=7),
         Patch(color=style.OBSTACLE, label="obstacle"),
     ]
     style.legend(figure, handles, 4)

@@ -186,13 +186,13 @@ def survival(
     width: float = style.WIDTH,
     looks: Mapping[str, tuple[str, str]] | None = None,
 ) -> style.Drawn:
-    """Kaplan and Meier's share of test episodes that are still up, against steps: a line a configuration.
+    """Kaplan and Meier's share of test episodes that last longer, against steps: a line a configuration.
 
     curves: label -> shares, indexed by steps, as of `stats.survival`; limit: where episodes were cut off
         [steps];
     width: of the figure [inches]; looks: a colour and a line by label, or else by activation.
     """
-    title = "Test episodes that are still up"
+    title = "Test episodes that last longer"
     curves = {name: shares for name, shares in curves.items() if len(shares)}
     if not curves:
         return style.nothing(title)
@@ -219,6 +219,6 @@ def survival(
     axes.set_xlim(max(np.nanmin([*first, most]) * 0.8, 1.0), max(most, limit) * 1.1)
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set(xlabel="steps", ylabel="episodes still up [%]", ylim=(0, 1.02))
+    axes.set(xlabel="steps", ylabel="episodes that last longer [%]", ylim=(0, 1.02))
     style.legend(figure, axes.get_legend_handles_labels()[0])
     return style.Drawn(figure, f"{title}, against steps: {'; '.join(said)}.")

@@ -140,7 +140,7 @@ GAPS: Columns = {
     "episodes": "{episodes:,}",
     "that reach the time limit": "{up:.0%}",
     "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
-    "gap to the rule": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
     "seeds above": "{above:.0%}",
 }
 BY_DEFAULT: Columns = {
@@ -477,7 +477,7 @@ def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, 
 def tuned(found: pd.DataFrame) -> Rows:
     """Default against tuned, a row an algorithm. found: as `tuning.read` gives it."""
     settings = (DEFAULT, TUNED, DIFFERENCE)
-    rows = [["algorithm", "seeds", *settings, "tuned, gap to the rule"]]
+    rows = [["algorithm", "seeds", *settings, "tuned, gap to the scripted policy"]]
     for algorithm, part in found.groupby("algorithm", sort=False):
         shown = _across(part, "settings", settings, lambda one: _interval(one, VALUE, 1))
         gap = _across(part, "settings", [TUNED], lambda one: _interval(one, GAP, 1))

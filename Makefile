@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines report docs help layouts picture clean
+.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines policies report docs help layouts picture clean
 
 train: .venv/.installed
 	@echo "PPO with ReLU, 1,000,000 frames: one or two minutes, as the bar tells"
@@ -39,6 +39,9 @@ tuning: .venv/.installed-dev # Optuna comes with what tests need
 baselines: .venv/.installed # what needs no learning, on the test layouts
 	$(BIN)/uavnav evaluate random straight reactive --out $(RESULTS)/baselines
 
+policies: .venv/.installed # those that ship, chosen on the validation split among the committed runs
+	$(BIN)/python -m uavnav.evaluation.choose $(RESULTS)
+
 report: .venv/.installed # the report, docs/results.md and the findings in the README
 	$(BIN)/uavnav report $(RESULTS)
 	$(BIN)/python -m uavnav.report.docs $(RESULTS)
@@ -54,10 +57,14 @@ layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/splits
 	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/splits
 
-picture: .venv/.installed # the episodes in the README, the sensor and the learning curves of the docs
+picture: .venv/.installed # the episodes and films in the README, the sensor and the learning curves of the docs
 	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
 	$(BIN)/python docs/sensor.py
 	$(BIN)/python docs/curves.py ppo dqn a2c c51 sac
+	for film in drone:7 moving:20 goal:12 space:20 space-moving:20; do task=$${film%:*}; \
+	  $(BIN)/uavnav train ppo preset=fast task=$$task evaluate=false out=runs/films/ppo-fast/$$task && \
+	  $(BIN)/uavnav render runs/films/ppo-fast/$$task --greedy --layout $${film#*:} --steps 240 --every 4 --speed 2 \
+	    --width 280 --out docs/films/$$task.gif || exit 1; done
 
 clean:
 	rm -rf .venv build *.egg-info

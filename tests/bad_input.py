@@ -1065,7 +1065,7 @@ CASES = [
         lambda f: Run(f / "half"),
         RunError,
         "{}/half: the run is not finished",
-        "same command",
+        "that trained it again",
         "verify {}/half",
     ),
     # a configuration

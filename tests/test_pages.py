@@ -231,7 +231,7 @@ def test_every_file_that_the_readme_links_to_exists():
 
 
 def test_the_table_of_the_decisions_is_the_modules_row_by_row():
-    lines = ALL["docs/decisions.md"].splitlines()
+    lines = re.sub(r"\[(measured)\]\(.*?\)", r"\1", ALL["docs/decisions.md"]).splitlines()
     header, *decisions = (f"| {' | '.join(decision)} |" for decision in DECISIONS)
     begin = lines.index(header)
     assert lines[begin + 2 : begin + 3 + len(decisions)] == [*decisions, ""]

@@ -1,7 +1,7 @@
 """How a policy acts: what its network says of each action, and the random choice of one.
 
 `ACTS`, `HEADS` and `SHOWN` are tables. A record of `uavnav.algorithms`, or the header of a policy's file,
-names a line of each. Nothing but `Actor` has a generator; uniform numbers are arguments.
+names an entry in each. Nothing but `Actor` has a generator; uniform numbers are arguments.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ SHOWN: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 def values_of(head: str, outputs: Tensor) -> Tensor:
-    """One number an action by a line of `HEADS` with its numbers: outputs [..., outputs] -> [...,
+    """One number an action by an entry in `HEADS` with its numbers: outputs [..., outputs] -> [...,
     actions].
     """
     name, *numbers = head.split()

@@ -2,7 +2,7 @@
 reward.
 
 A reward is a function of a `Step` and gives float64 tensors [*B] by name. To add one, write a function and a
-line of `REWARDS`; it may look at everything in the step. A line of `BOUNDS` declares between which numbers it
+entry in `REWARDS`; it may look at everything in the step. An entry in `BOUNDS` declares between which numbers it
 lies.
 """
 

@@ -1,6 +1,6 @@
 """The tasks by their names, and a task from its parts.
 
-To add a task, write a class below `Task` and its line of `TASKS`.
+To add a task, write a class below `Task` and its entry in `TASKS`.
 """
 
 from __future__ import annotations

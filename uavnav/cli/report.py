@@ -10,6 +10,7 @@ from rich.console import Console
 
 from uavnav.errors import complain
 from uavnav.report import Written, report
+from uavnav.runs.tables import RunError
 
 PAUSE = 5.0
 """Seconds between two pages of `--watch`."""
@@ -28,7 +29,10 @@ def main(arguments: Namespace) -> int:
     try:
         while arguments.watch:
             time.sleep(PAUSE)
-            _write(arguments)
+            try:
+                _write(arguments)
+            except RunError as error:  # a run began or ended meanwhile
+                complain("report", error)
     except KeyboardInterrupt:
         pass
     return 0

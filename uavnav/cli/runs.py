@@ -177,7 +177,14 @@ def found(given: Namespace, tell: bool) -> list[dict[str, Any]]:
     own = [name for name in ("runs", "results") if Path(name).is_dir()]
     folders = given.folders or own[:1]
     now, rows = time.time(), list[dict[str, Any]]()
-    for path in dict.fromkeys(path for folder in folders for path in run_folders(Path(folder))[0]):
+    paths = list[Path]()
+    for folder in folders:
+        try:
+            paths += run_folders(Path(folder))[0]
+        except RunError:
+            if given.folders:  # one's own may still be empty
+                raise
+    for path in dict.fromkeys(paths):
         try:
             rows.append(row(path, now))
         except RunError as error:

@@ -188,12 +188,13 @@ def report(run: Run) -> None:
     show(of_run(run))
     lately = Lately(**run.meta["lately"])
     first = f" ({lately.curve[0]:,.1f} at first)" if lately.curve else ""
-    print(
-        f"{sparkline(lately.curve)} in the last tenth, open episodes too: reward per 1,000 frames"
-        f" {with_spread(lately.rewards, 1)}{first};\n"
-        f"  {statistics.mean(lately.flying):.0%} of environments still fly, their episodes"
-        f" {statistics.mean(lately.lengths):,.0f} steps long so far"
-    )
+    if lately.flying:
+        print(
+            f"{sparkline(lately.curve)} in the last tenth, open episodes too: reward per 1,000 frames"
+            f" {with_spread(lately.rewards, 1)}{first};\n"
+            f"  {statistics.mean(lately.flying):.0%} of environments still fly, their episodes"
+            f" {statistics.mean(lately.lengths):,.0f} steps long so far"
+        )
     print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
 
 

@@ -31,6 +31,8 @@ from uavnav.views import browser, replays
 TITLES = browser.TITLES | browser.IN_3D
 SCRIPT = "reactive"
 """The scripted policy that everything learned is held against."""
+YOU = "you"
+"""Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
 """What the ranking says of episodes beside their reward: the first that they have."""
 
@@ -82,20 +84,24 @@ def gather(
     begun = {str(path): begin(path) for path in unfinished}
     if not own and not begun:
         return None
-    paths = dict(zip(_names([*own, *begun], folders), map(Path, [*own, *begun]), strict=True))
+    names = _names([*own, *begun], folders)
+    for place, one in enumerate(own.values()):  # runs that differ in their seeds are one
+        names[place] += f" and {len(one.runs) - 1} more" if len(one.runs) > 1 else ""
+    paths = dict(zip(names, map(Path, [*own, *begun]), strict=True))
     said = [
         f"{one.n_seeds} seed{'s' * (one.n_seeds > 1)}, {one.settings['frames']:,} frames"
         for one in own.values()
     ]
-    status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True))
+    status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True)) | {YOU: "by hand"}
     configurations = [*own.values(), *(one for one, _ in begun.values())]
     contenders = [_contender(name, one) for name, one in zip(paths, configurations, strict=True)]
     tell("ranking runs beside the scripted policy")
-    looks = style.of_pilots({one.name: one.pilot for one in contenders})
+    looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
     groups = []
     for place, members in enumerate(_alike(contenders)):
         scripted = _scripted(members[0], paths[members[0].name], [*folders, out])
-        groups.append(_group(members, scripted, status, looks, place))
+        people = _by_hand(members[0], [*folders, out])
+        groups.append(_group([*members, *people], scripted, status, looks, place))
     tell("flying a typical episode of each run")
     recorded, left_out = _typical(contenders, looks)
     return Mine(
@@ -164,7 +170,11 @@ def _names(paths: Sequence[str], folders: Sequence[Path]) -> list[str]:
 
 
 def _contender(name: str, configuration: Configuration) -> Contender:
-    rows = configuration.runs[0].evaluation() if configuration.runs else None
+    """A run, or several that differ in their seeds, with the test episodes of all."""
+    first, rows = configuration.runs[0].evaluation() if configuration.runs else None, None
+    if first is not None:
+        rows = configuration.evaluation.copy()
+        rows.attrs = first.attrs
     return compare.trained(name, configuration, rows)
 
 
@@ -254,6 +264,16 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender
         return None
 
 
+def _by_hand(first: Contender, folders: Sequence[Path]) -> list[Contender]:
+    """What people flew in the paper's task, beside runs of which the first flew there; none elsewhere."""
+    there = [path for folder in folders if (path := folder / "baselines" / "human.parquet").exists()]
+    if not there or not first.protocol or first.place["task"] != "drone":
+        return []
+    return [
+        Contender(YOU, read_table(there[0], EVALUATED, "delete it"), first.protocol, first.place, None, YOU)
+    ]
+
+
 def _ranking(
     ordered: Sequence[Contender], scripted: Contender | None, status: Mapping[str, str]
 ) -> tables.Rows:
@@ -282,6 +302,8 @@ def _number(found: Interval) -> str:
 def _best(first: Group, paths: Mapping[str, Path]) -> str:
     """The best run of a group, beside the scripted policy."""
     best = first.contenders[0]
+    if best.configuration is not None and not best.configuration.runs:
+        return "No run has finished yet."
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
     mean, over = _reward(best)

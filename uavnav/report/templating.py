@@ -32,7 +32,9 @@ def inline(text: str) -> Markup:
     for mark in _MARKS.finditer(text):
         words, where, code, strong, emphasis = mark.groups()
         parts.append(escape(text[end : mark.start()]))
-        if words:
+        if words and re.match(r"(?!https?:)[\w.+-]+:", where):  # no address of a page, such as a script
+            parts.append(escape(words))
+        elif words:
             parts.append(Markup('<a href="{}">{}</a>').format(anchored(where), words))
         else:
             tag = "code" if code else "strong" if strong else "em"

@@ -68,7 +68,7 @@ def sparkline(curve: Sequence[float]) -> str:
 
 def line(frames: int, total: int, rate: float | None, lately: Lately) -> str:
     """How far a run is and what it does, in 80 columns; rate: frames a second of each seed, where known."""
-    pace = f" {rate / 1000:.3g}k/s, {span((total - frames) / rate)} left" if rate else ""
+    pace = f" {rate / 1000:.3g}k/s, {span(max(0, total - frames) / rate)} left" if rate else ""
     done = f"{sparkline(lately.curve)} {min(frames / total, 1):.0%}{pace}"
     if not lately.rewards:
         return done

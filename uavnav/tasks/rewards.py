@@ -1,9 +1,9 @@
 """Equation (14) and the other forms of the paper's reward, each as named terms whose sum is the
 reward.
 
-A reward is a function of a `Step` and gives float64 tensors [*B] by name. To add one, write a function and a
-entry in `REWARDS`; it may look at everything in the step. An entry in `BOUNDS` declares between which numbers it
-lies.
+A reward is a function of a `Step` and gives float64 tensors [*B] by name. To add one, write a function and
+an entry in `REWARDS`; it may look at everything in the step. An entry in `BOUNDS` declares its least and its
+greatest number.
 """
 
 from __future__ import annotations

@@ -346,14 +346,15 @@ def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
     named = [one for one in flyers.policies if one["key"] in flyers.named]
     first = min(named, key=lambda one: flyers.named.index(one["key"]), default=None)
     tasks = [one["task"] for one in ([first] if first else flyers.policies)]
-    world = opening.task if opening.task in tasks else next(iter(tasks), opening.task)
+    world = opening.task if opening.task in tasks or opening.task != "drone" else next(iter(tasks), "drone")
     pilots = flyers.named or [*_two(flyers.policies, world), "reactive"]
     you = ["you"] if len(pilots) < DRONES else []
     settings = {name: one.first for name, one in SETTINGS.items()} | (first["faults"] if first else {})
     own = opening.layouts in SPLITS or splits.is_rung(opening.layouts)
+    stem = Path(opening.layouts).stem
     return {
         "world": world,
-        "layouts": opening.layouts if own else _key(Path(opening.layouts).stem),
+        "layouts": opening.layouts if own else _key(*["own"] * (stem in (*SPLITS, "random")), stem),
         "layout": opening.layout,
         "k": DEFAULT_K,
         "circles": None,

@@ -101,7 +101,7 @@ def test_the_front_page_is_the_reports_first_screen_and_its_number_leads_to_the_
     assert sentence in site["index.html"]
     assert site["index.html"].count("<canvas role") == screen.count("<canvas role") == 3
     assert 'startTogether(document.getElementById("together")' in site["index.html"]
-    row = re.search(r'href="?report/report\.html#(row-gaps-\d+)', site["index.html"])[1]
+    row = re.search(r'href="?report/report\.html#(row-verdicts-\d+)', site["index.html"])[1]
     assert f'id="{row}"' in report
     assert re.search(r'href="?report/report\.html#row-verdicts-\d+', site["results.html"])
     assert site["report/report.html"] == report

@@ -81,7 +81,10 @@ def test_on_the_slalom_passages_per_1000_steps_and_per_episode_are_judged_and_dr
     assert [*found.index] == [*PER_EPISODE, "passages_per_1000_steps", "passages_per_episode"]
     assert found.loc["passages_per_1000_steps", "value"] == (1000 * 4 / 400 + 1000 * 4 / 500) / 2
     assert found.loc["passages_per_episode", "value"] == (2 + 4) / 2
-    titles = [axes.get_title("left") for axes in across.draw(table, LADDERS["slalom"]).figure.axes]
+    titles = [
+        axes.get_title("left")
+        for axes in across.draw(table, LADDERS["slalom"], dict.fromkeys(table["name"], "ppo")).figure.axes
+    ]
     assert titles == [*PER_EPISODE.values(), "passages per 1,000 steps", "passages per episode"]
 
 
@@ -258,7 +261,7 @@ def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_episodes_out
         ],
         columns=["name", "mode", "rung", "measure", "n", "value", "low", "high"],
     )
-    drawn = across.draw(table, ladder)
+    drawn = across.draw(table, ladder, {"mine": "ppo"})
     assert drawn.alt == "Reward per episode from 60 to 180 of sensor's arc [degrees]: mine: 60.0 to 180.0."
     assert all(len(axes.lines) == 1 for axes in drawn.figure.axes)
     assert np.isfinite(drawn.figure.axes[0].lines[0].get_ydata()).all()

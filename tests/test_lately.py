@@ -1,9 +1,11 @@
 """What a run shows while it trains: what its seeds earn, how many fly, how long, and the curve."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from rich.console import Console
 
 import uavnav
@@ -105,3 +107,12 @@ def test_the_line_fits_80_columns_and_a_reward_that_is_no_number_stops_no_heart_
 )
 def test_a_span_is_in_its_own_unit(seconds, words):
     assert lately.span(seconds) == words
+
+
+def test_of_20000_seeds_1000_are_told_so_that_the_file_stays_small_enough_to_be_read(tmp_path):
+    numbers = torch.rand(20_000, 1, generator=torch.Generator().manual_seed(0)).double()
+    state = SimpleNamespace(reward=numbers, steps=numbers)
+    told = lately.Watch(range(20_000), 1, 100).look(state, 10)
+    heartbeat.tell(tmp_path, 10, 100, 1.0, lately.all_seeds([told, told]))
+    assert [len(one) for one in (told.rewards, progress(tmp_path)["lately"].rewards)] == [1000, 1000]
+    assert told.rewards[999] == pytest.approx(100 * float(numbers[999, 0]))

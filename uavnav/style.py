@@ -55,6 +55,8 @@ NIGHT = {
 """Colours of a figure by day, and what they are on a dark page."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 """The look of a line that no configuration drew."""
+RULED = DASHED | {"color": SCRIPTED}
+"""The look of what the scripted policy reaches."""
 RULE = "scripted policy"
 """The label of the scripted policy that everything learned is held against."""
 STYLE: dict[RcKeyType, Any] = {

@@ -6,7 +6,6 @@ ladder.
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -20,11 +19,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from uavnav import stats, style
-from uavnav.algorithms import ALGORITHMS
 from uavnav.colours import PILOTS, colours
 from uavnav.evaluation import check_bounds, fly_modes, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics
+from uavnav.runs.lately import span
 from uavnav.runs.policies import Policy, by_mode, load_policies
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
@@ -47,10 +46,18 @@ class Flyer(NamedTuple):
     run: Run | None = None
 
     @property
+    def _first(self) -> AnyPolicy:
+        return next(iter(next(iter(self.modes.values())).values()))
+
+    @property
     def task(self) -> WrappedTask | None:
         """What it was trained in, the same for all of its policies; None of a scripted policy."""
-        first = next(iter(next(iter(self.modes.values())).values()))
-        return first.task if isinstance(first, Policy) else None
+        return self._first.task if isinstance(self._first, Policy) else None
+
+    @property
+    def kind(self) -> str:
+        """Its algorithm, or the name of a script: by this it has its colour."""
+        return self._first.algorithm if isinstance(self._first, Policy) else self.name
 
     def fly(self, task: WrappedTask, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
         """A row an episode in a task, with its mode; where: the task's name for a bar."""
@@ -142,16 +149,20 @@ def in_brief(table: pd.DataFrame) -> str:
 
 
 @matplotlib.rc_context(style.STYLE)
-def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> style.Drawn:
-    """Each measure against difficulty, one line a policy as it acts in training, bands for intervals."""
+def draw(
+    table: pd.DataFrame, ladder: Ladder, kinds: Mapping[str, str], width: float = style.WIDTH
+) -> style.Drawn:
+    """Each measure against difficulty, one line a policy as it acts in training, bands for intervals.
+
+    kinds: by name, the algorithm of a policy, for its colour.
+    """
     mine = table[table["mode"] != "greedy"]
     measures = [*dict.fromkeys(mine["measure"])]
     figure = Figure(figsize=(width, 1 + 2.5 * len(measures)), layout="constrained")
     panels = figure.subplots(len(measures), 1, sharex=True)
     names = list(dict.fromkeys(mine["name"]))
     learned = [name for name in names if name not in BASELINES]
-    kinds = [_kind(name) for name in learned]
-    colour_of = PILOTS | dict(zip(learned, colours(kinds), strict=True))
+    colour_of = PILOTS | dict(zip(learned, colours(kinds[name] for name in learned), strict=True))
     lines = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
     for axes, measure in zip(panels, measures, strict=True):
         for name, own in mine[mine["measure"] == measure].groupby("name", sort=False):
@@ -170,11 +181,6 @@ def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> sty
         for name, own in rewards.groupby("name", sort=False)
     )
     return style.Drawn(figure, f"Reward per episode from {first:g} to {last:g} of {ladder.words}: {told}.")
-
-
-def _kind(name: str) -> str:
-    """The algorithm that a policy's name or path tells, or the name."""
-    return next((word for word in re.findall("[a-z0-9]+", name.lower()) if word in ALGORITHMS), name)
 
 
 def shown(table: pd.DataFrame, name: str) -> Table:
@@ -275,8 +281,7 @@ def across(
     def how_long(seconds: float) -> None:
         n = rungs * sum(flown.values())
         left = seconds * (n / flown[flyers[0].name] - 1)
-        span = f"{left:.0f} s" if left < 90 else f"{left / 60:.0f} min"
-        tell(f"about {span} more, as the first rung took: {n:,} episodes on {rungs} rungs")
+        tell(f"about {span(left)} more, as the first rung took: {n:,} episodes on {rungs} rungs")
 
     told: list[dict[str, Any]] = []
     for name in climbed:
@@ -294,7 +299,8 @@ def across(
             summary.show(shown(table, name))
         if not alone:
             path = save(
-                draw(table, LADDERS[name]), folder / rows_across(name, episodes, max(limits.values()))
+                draw(table, LADDERS[name], {one.name: one.kind for one in flyers}),
+                folder / rows_across(name, episodes, max(limits.values())),
             )
             if not quiet:
                 print(f"the figure is {path}", flush=True)

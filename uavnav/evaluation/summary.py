@@ -55,7 +55,7 @@ def of_run(run: Run) -> Table:
     preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
     return _metric_table(
         f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
-        f"training episodes that ended, most in a collision; judge by the test episodes.\n"
+        f"log curve and all training episodes leave open episodes out; judge by the test episodes.\n"
         f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
         f" {run.meta['layouts']['k']} obstacles a layout; reward {config['reward']}; init {config['init']};"
         f" steps and distance {PER_FRAME} are per {ends}",

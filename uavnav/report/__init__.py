@@ -24,7 +24,6 @@ class Written(NamedTuple):
 
     path: Path
     left_out: list[str]
-    running: bool = False  # a run of one's own trains
 
 
 def places(folders: Sequence[str | Path], out: str | Path | None) -> tuple[list[Path], Path]:
@@ -82,11 +81,11 @@ def report(
     left_out = [line for line in found[1] if not line.startswith(tuple(f"{path}:" for path in begun))]
     if own is not None and own.claims:
         _write_all(where, mine.contents(own, left_out, watched))
-        return Written(where / "report.html", [*left_out, *own.left_out], own.running)
+        return Written(where / "report.html", [*left_out, *own.left_out])
     content = gather(read, record_apart, (found[0], left_out), tell)
     tell("writing the page")
     _write_all(where, page.contents(content, read[0], own, watched))
-    return Written(where / "report.html", content.left_out, own is not None and own.running)
+    return Written(where / "report.html", content.left_out)
 
 
 def _write_all(out: Path, contents: Mapping[str, bytes]) -> None:

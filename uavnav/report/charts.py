@@ -64,7 +64,7 @@ def intervals(
             said.append(f"{name} {style.said(found, beside)}")
         style.name_rows(axes, [f"{name.split(' ', 1)[-1]}, n = {len(rows[name])}" for name in members])
         if np.isfinite(rule):
-            axes.axvline(rule, **style.DASHED)
+            axes.axvline(rule, **style.RULED)
         axes.set_title(group + ("" if share else ", on its own scale"))
     panels[-1].set_xlabel(axis)
     handles = [
@@ -72,7 +72,7 @@ def intervals(
         style.mark("|", "interquartile mean", markersize=14, markeredgewidth=2),
         style.mark("o", "a seed", markersize=5, alpha=0.5),
         *[style.mark("D", "the paper", markersize=8, markerfacecolor="white")] * bool(printed),
-        *[Line2D([], [], label=style.RULE, **style.DASHED)] * bool(np.isfinite(rule)),
+        *[Line2D([], [], label=style.RULE, **style.RULED)] * bool(np.isfinite(rule)),
     ]
     style.legend(figure, handles, 3)
     beside = f"; {style.RULE} {style.number(rule)}" if np.isfinite(rule) else ""
@@ -107,7 +107,7 @@ def episodes(
     axes, said = figure.subplots(), []
     for row, name in enumerate(order):
         if name == style.RULE:
-            axes.axvline(rule, **style.DASHED | {"color": style.SCRIPTED})
+            axes.axvline(rule, **style.RULED)
             axes.plot(rule, row, "D", color=style.SCRIPTED, markersize=8)
             said.append(f"{style.RULE} {style.number(rule)}")
         else:

@@ -60,7 +60,7 @@ def curves(
         colours[name] = colour
         ends.append(f"{name} {_end(line, beside)}")
     if np.isfinite(rule):
-        axes.axhline(rule, label=style.RULE, **style.DASHED | {"color": style.SCRIPTED})
+        axes.axhline(rule, label=style.RULE, **style.RULED)
     axes.set_ylabel(metric)
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
     _name_dashes(axes, printed, colours)
@@ -202,9 +202,7 @@ def survival(
         shares = curves[name]
         seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
         seen.iloc[[0, -1]] = True
-        look = (
-            {"color": colour, "linestyle": dashes, "linewidth": 1.8} if name != style.RULE else style.DASHED
-        )
+        look = {"color": colour, "linestyle": dashes, "linewidth": 1.8} if name != style.RULE else style.RULED
         axes.step(seen.index[seen], shares[seen], where="post", label=name, **look)
         over = shares.index[shares <= 0.5]
         half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"

@@ -25,6 +25,7 @@ from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
 from uavnav.stats import Array, Interval
+from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
 
@@ -65,7 +66,6 @@ class Mine(NamedTuple):
     claims: str  # what the verdicts of the paper's claims would need, empty where they can be judged
     recorded: dict[str, Any] | None
     left_out: list[str]
-    running: bool
 
 
 def gather(
@@ -111,7 +111,6 @@ def gather(
         _missing(found, folders[0]),
         recorded,
         left_out,
-        any(how.startswith("running") for _, how in begun.values()),
     )
 
 
@@ -122,9 +121,11 @@ def unfinished(folders: Sequence[Path]) -> list[Path]:
     for path in paths:
         try:
             meta = read_settings(path / "meta.json")
-            read_settings(path / "config.yaml")
+            config = read_settings(path / "config.yaml")
         except RunError:
             continue
+        if not {"algorithm", "activation", "total_frames"} <= config.keys():
+            continue  # no run's, as `collect` says
         if meta.get("status") != FINISHED and not meta.get("study"):
             found.append(path)
     return found
@@ -267,7 +268,8 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender
 def _by_hand(first: Contender, folders: Sequence[Path]) -> list[Contender]:
     """What people flew in the paper's task, beside runs of which the first flew there; none elsewhere."""
     there = [path for folder in folders if (path := folder / "baselines" / "human.parquet").exists()]
-    if not there or not first.protocol or first.place["task"] != "drone":
+    as_kept = {"layouts": "test", "max_steps": MAX_STEPS}
+    if not there or first.place["task"] != "drone" or not as_kept.items() <= first.protocol.items():
         return []
     return [
         Contender(YOU, read_table(there[0], EVALUATED, "delete it"), first.protocol, first.place, None, YOU)
@@ -301,7 +303,7 @@ def _number(found: Interval) -> str:
 
 def _best(first: Group, paths: Mapping[str, Path]) -> str:
     """The best run of a group, beside the scripted policy."""
-    best = first.contenders[0]
+    best = next(one for one in first.contenders if one.pilot != YOU)
     if best.configuration is not None and not best.configuration.runs:
         return "No run has finished yet."
     if not len(best.episodes):

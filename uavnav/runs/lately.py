@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 SHARE = 10
 """The newest frames are one of so many parts of a run."""
+MOST_TOLD = 1_000
+"""Seeds that are told of, at most, as the files of settings that hold them are small."""
 POINTS = 12
 """Of a run's curve."""
 BARS = "▁▂▃▄▅▆▇"
@@ -51,7 +53,7 @@ NOTHING = Lately()
 def all_seeds(parts: Sequence[Lately]) -> Lately:
     """Of all seeds, from those of some each; the curve goes as far as all have come."""
     told = {
-        name: [value for part in parts for value in getattr(part, name)]
+        name: [value for part in parts for value in getattr(part, name)][:MOST_TOLD]
         for name in ("rewards", "flying", "lengths")
     }
     weights = [len(part.rewards) for part in parts]
@@ -127,9 +129,9 @@ class Watch:
             self._point = now
         first = self._marks[0]
         return Lately(
-            rewards=_rate(first, now).tolist(),
-            flying=(self._terminated <= first[0]).mean(1).tolist(),
-            lengths=_each(state.steps).mean(1).tolist(),
+            rewards=_rate(first, now)[:MOST_TOLD].tolist(),
+            flying=(self._terminated <= first[0]).mean(1)[:MOST_TOLD].tolist(),
+            lengths=_each(state.steps).mean(1)[:MOST_TOLD].tolist(),
             curve=self._curve,
         )
 

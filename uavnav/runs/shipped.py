@@ -1,6 +1,7 @@
 """Policies that ship with the package: `ppo-tanh` is the paper's, `ppo-fast-tanh` of the preset `fast`.
 
-`uavnav.evaluation.choose` writes them: one seed of each run, the best on the validation split.
+`uavnav.evaluation.choose` writes them: of the seeds of each run whose policies are committed, the best on the
+validation split.
 """
 
 from __future__ import annotations

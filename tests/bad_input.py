@@ -38,7 +38,7 @@ from uavnav.runs.policies import Diverged
 from uavnav.tasks import layouts
 from uavnav.tasks.space import SpaceWorld
 from uavnav.training import provenance
-from uavnav.training.recorder import Interrupted
+from uavnav.training.recorder import Interrupted, OtherRun
 from uavnav.views import render as rendering
 
 # -- ways to spoil a file or a folder, each a function of its path -------------------------------------------
@@ -453,17 +453,21 @@ def run(part, name, spoil, wrong, right, by=READS, error=RunError):
     return Case(f"{part}: {name}", part, spoil, by[0], error, "{}/" + part + ": " + wrong, right, by[1])
 
 
-def out(name, part, spoil, wrong, right, target="run", overwrite=False, **settings):
+OTHER = {"error": OtherRun}
+"""Of a folder that holds another run."""
+
+
+def out(name, part, spoil, wrong, right, target="run", overwrite=False, error=RunError, **settings):
     place = target if target[0] == "/" else "{}/" + target
     command = "ppo " + words(PPO | settings | {"out": place, "overwrite": str(overwrite).lower()})
     call = lambda f: train_ppo(f, target, overwrite, **settings)  # noqa: E731
-    return Case(f"out: {name}", part, spoil, call, RunError, wrong, right, command)
+    return Case(f"out: {name}", part, spoil, call, error, wrong, right, command)
 
 
-def half(name, spoil, wrong, right, **settings):
+def half(name, spoil, wrong, right, error=RunError, **settings):
     part, command = "half/checkpoint", f"dqn {words(DQN | settings)} out={{}}/half"
     return Case(
-        f"half: {name}", part, spoil, lambda f: train_dqn(f, **settings), RunError, wrong, right, command
+        f"half: {name}", part, spoil, lambda f: train_dqn(f, **settings), error, wrong, right, command
     )
 
 
@@ -1006,14 +1010,31 @@ CASES = [
         overwrite=True,
     ),
     out("a config of keys that are numbers", "run/config.yaml", added("1: 2\n"), NO_RUN + ", its 1=1", EMPTY),
-    out("another learning rate", "run", nothing, "holds a run with lr=0.0003, not 0.1", OVERWRITE, lr=0.1),
-    out("another network", "run", nothing, "holds a run with hidden=[8], not [9]", OVERWRITE, hidden=[9]),
+    out(
+        "another learning rate",
+        "run",
+        nothing,
+        "holds a run with lr=0.0003, not 0.1",
+        OVERWRITE,
+        **OTHER,
+        lr=0.1,
+    ),
+    out(
+        "another network",
+        "run",
+        nothing,
+        "holds a run with hidden=[8], not [9]",
+        OVERWRITE,
+        **OTHER,
+        hidden=[9],
+    ),
     out(
         "another algorithm's",
         "run/config.yaml",
         replaced(": ppo", ": dqn"),
         "algorithm=dqn, not ppo",
         OVERWRITE,
+        **OTHER,
     ),
     out(
         "finished, a table gone",
@@ -1045,7 +1066,7 @@ CASES = [
         "run/meta.json",
         meta(layouts={"sha256": "0" * 64}),
         train_ppo,
-        RunError,
+        OtherRun,
         "the split layouts=train has changed",
         OVERWRITE,
         f"ppo {words(PPO)} out={{}}/run",
@@ -1056,7 +1077,7 @@ CASES = [
     half("every snapshot empty", snapshots(written(b"")), "damaged, its checksum does not match", OVERWRITE),
     half("its replay gone", replay_gone, "missing or not readable", OVERWRITE),
     half("of another version of torch", newer_torch, "saved with version of torch=", OVERWRITE),
-    half("another seed", nothing, "holds a run with seed=0, not 7", OVERWRITE, seed=7),
+    half("another seed", nothing, "holds a run with seed=0, not 7", OVERWRITE, **OTHER, seed=7),
     half("another seed everywhere", reseeded, "saved with seed=0, not 7", OVERWRITE, seed=7),
     Case(
         "half: read",

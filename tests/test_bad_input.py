@@ -89,6 +89,7 @@ def spoilt(case, folder):
 def test_in_the_library_it_is_one_line_of_a_typed_exception_and_nothing_changes(case, folder):
     with spoilt(case, folder), pytest.raises(case.error) as refused:
         case.call(folder)
+    assert type(refused.value) is case.error
     said(case, folder, str(refused.value))
 
 

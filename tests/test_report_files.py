@@ -51,6 +51,8 @@ def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_pap
     assert "gelu" not in intervals.drawn.alt
     assert not gathered.tables["speed"]["configuration"].str.contains("gelu").any()
     assert {*gathered.tables["wide"]["activation"]} == {"tanh", "sigmoid", "relu", "leaky_relu", "gelu"}
+    page = contents(gathered, results)["report.html"].decode()
+    assert page.count("1 to 2 seeds of 1,000 frames") == 1  # PPO's relu has one
     text = markdown(gathered)
     assert found(text, "DQN gelu", PRIMARY) == [["1", "0.0020"]]
     assert "after 1,000 frames a seed" in text

@@ -310,6 +310,7 @@ def test_hours_are_of_one_seed_and_a_million_frames_whatever_a_run_holds():
     assert hours(one).tolist() == [0.5]
     assert one.n_seeds == 5
     assert rows_of(one)(*KEY, "hours").tolist() == [0.5]
+    assert rows_of(one, "greedy evaluation")(*KEY, "hours").size == 0  # that took no training
 
 
 def test_the_papers_tables_are_one_number_a_configuration_and_ten_hours():

@@ -74,7 +74,7 @@ const PLAYER = `
 <div class="replay-row">
 <label class="replay-label"><span>policy</span><select data-part="configuration"></select></label>
 <label class="replay-label"><span>seed</span><select data-part="seed"></select></label>
-<label class="replay-label"><span>obstacles</span><select data-part="layout"></select></label>
+<label class="replay-label"><span>layout</span><select data-part="layout"></select></label>
 </div>
 <div class="replay-stage">
 <div class="replay-arena"><canvas data-part="arena" role="img"></canvas></div>

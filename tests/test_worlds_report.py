@@ -11,6 +11,7 @@ from runs_by_hand import rows, two, write_run
 
 from uavnav import evaluation
 from uavnav.cli import commands
+from uavnav.colours import PILOTS
 from uavnav.evaluation import Protocol
 from uavnav.evaluation.scripts import SEEDS, rows_of_scripts
 from uavnav.report import tables, worlds
@@ -180,6 +181,13 @@ def test_a_ladder_is_drawn_for_configurations_of_the_papers_world_and_for_script
     assert lines["PPO"].get_xydata().tolist() == [[rung, 100.0 - rung] for rung in rungs]
     assert lines["reactive"].get_xydata().tolist() == [[rung, 50.0 + rung] for rung in rungs[1:]]
     assert worlds.ladder(Worlds(learned, *NOTHING), "slalom") is None
+    own = learned["drone", "ppo", "tanh"]
+    seven = [("drone", one, "tanh") for one in ("ppo", "dqn", "a2c", "c51", "sac")]
+    seven += [("drone, fast", one, "tanh") for one in ("ppo", "dqn")]
+    all_of_them = Worlds(dict.fromkeys(seven, own), {}, scripted, *NOTHING[2:])
+    lines = {line.get_label(): line for line in worlds.ladder(all_of_them, "density").figure.axes[0].lines}
+    assert (lines["PPO"].get_color(), lines["DQN"].get_color()) == (PILOTS["ppo"], PILOTS["dqn"])
+    assert len({line.get_color() for line in lines.values()}) == len(lines) == 8
 
 
 def keep(folder, rule, protocol=GOAL, reward=3.0, **header):

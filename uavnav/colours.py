@@ -8,8 +8,8 @@ from uavnav.tasks.protocol import SCRIPTS
 
 PILOTS = {"you": "#E69F00", "ppo": "#0072B2", "dqn": "#D55E00", **dict.fromkeys(SCRIPTS, "#009E73")}
 """By who flies: a person, an algorithm's policy, a scripted policy."""
-OTHERS = ("#CC79A7", "#56B4E9", "#000000")
-"""Of further pilots, in their order. All are Okabe and Ito's, without the yellow."""
+OTHERS = ("#CC79A7", "#56B4E9", "#000000", "#882255", "#999933")
+"""Of further pilots, in their order: Okabe and Ito's without the yellow, then Paul Tol's wine and olive."""
 
 
 def colours(pilots: Iterable[str]) -> list[str]:

@@ -51,6 +51,8 @@ NIGHT = {
     "#cc79a7": "#e59cc6",
     "#e69f00": "#f2b83a",
     "#56b4e9": "#a9dcff",
+    "#882255": "#d65c96",
+    "#999933": "#cfcf63",
 }
 """Colours of a figure by day, and what they are on a dark page."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}

@@ -381,5 +381,5 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
             one = stats.interval(own[metric].dropna().to_numpy())
             parts.append([rule, "scripted", float(rung), metric, one.n, *one[:3]])
     columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
-    kinds = {who: style.parts(who)[0].lower() for who, *_ in parts}
+    kinds = {who: who.split()[0].lower() for who, *_ in parts}
     return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], kinds, width)

@@ -139,9 +139,9 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
         super().__init__()
         self.network, self.acts, self.head = network, acts, head
         self.streams = Streams(seeds, "actions")
-        self._weights = dict(network.named_parameters())  # learning writes them in place
+        self._weights = dict(network.named_parameters())
         self.frames, self.schedule = 0, epsilon
-        self.epsilon = torch.tensor(0.0, device=next(network.parameters()).device)
+        self.device = next(network.parameters()).device
         self._choose = graph.Graph(self.choose) if compile else self.choose
 
     def choose(
@@ -152,14 +152,23 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
         values = values_of(self.head, functional_call(self.network, named, (observation,)))
         return (ACTS[self.acts].choose(values, epsilon, uniform.unbind(1)),)
 
+    def draw(self, n_steps: int, n_envs: int) -> tuple[Tensor, Tensor]:
+        """What so many next steps need: uniform numbers [T, A, uniforms, W] and epsilons [T]."""
+        device, uniforms = self.device, ACTS[self.acts].uniforms
+        numbers = self.streams.draw(torch.rand, n_steps, uniforms, n_envs, device=device)
+        shares = [self.schedule(self.frames + step * n_envs) for step in range(n_steps)]
+        self.frames += n_steps * n_envs
+        return numbers.movedim(1, 0).contiguous(), torch.tensor(shares, dtype=torch.float32, device=device)
+
+    @property
+    def weights(self) -> list[Tensor]:
+        """The network's, which learning writes in place."""
+        return [*self._weights.values()]
+
     def act(self, observation: Tensor) -> Tensor:
         """Actions from the streams' next numbers."""
-        self.epsilon.fill_(self.schedule(self.frames))
-        self.frames += observation.shape[1]
-        uniform = self.streams.draw(
-            torch.rand, ACTS[self.acts].uniforms, observation.shape[1], device=observation.device
-        )
-        return self._choose(observation, uniform, self.epsilon, *self._weights.values())[0]
+        (uniform,), (epsilon,) = self.draw(1, observation.shape[1])
+        return self._choose(observation, uniform, epsilon, *self.weights)[0]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """As a collector calls it, without the Python of a TensorDictModule around `act`."""

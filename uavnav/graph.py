@@ -8,6 +8,7 @@ missing or have changed, `torch.compile` is used.
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,11 +20,12 @@ from uavnav.errors import ConfigError
 
 try:
     from torch._functorch.compile_utils import fx_graph_cse
+    from torch._higher_order_ops.scan import scan_op
     from torch._higher_order_ops.while_loop import while_loop_op
     from torch._inductor import standalone_compile
     from torch.fx.experimental.proxy_tensor import make_fx
 except ImportError:
-    make_fx = standalone_compile = while_loop_op = fx_graph_cse = None  # type: ignore[assignment]
+    make_fx = standalone_compile = scan_op = while_loop_op = fx_graph_cse = None  # type: ignore[assignment]
 
 Tensors = Sequence[Tensor]
 Function = Callable[..., Tensors]
@@ -31,7 +33,9 @@ Function = Callable[..., Tensors]
 SETTINGS: dict[str, Any] = {
     "compile_threads": 1,  # these few kernels compile faster than a pool of processes starts
     "cpp.vec_isa_ok": True,  # else inductor starts ten processes to test what the first graph shows
-    "unsafe_marked_cacheable_functions": {"torch.ops.higher_order.while_loop": "1"},  # keep loops on disk too
+    "unsafe_marked_cacheable_functions": {  # keep loops on disk too
+        f"torch.ops.higher_order.{loop}": "1" for loop in ("while_loop", "scan")
+    },
 }
 """Inductor's settings while a graph is compiled; afterwards the caller's settings are restored."""
 
@@ -79,6 +83,64 @@ class Graph:
 
     def _traced(self, tensors: Tensors) -> Function:
         return _compiled(self.function, tensors, self.options)
+
+
+class Scan(Graph):
+    """Successive steps of a state, each with inputs and outputs of its own, as one graph.
+
+    Args:
+        step: (*state, *inputs, *constants) -> (*next state, *outputs).
+        n_state, n_inputs: numbers of tensors in the state and in the inputs.
+        options: inductor's options.
+
+    Call: (*state, *inputs [T, ...] of T steps, *constants) -> (*state after them, *outputs [T, ...]).
+    """
+
+    def __init__(self, step: Function, n_state: int, n_inputs: int, **options: Any) -> None:
+        super().__init__(step, **options)
+        self.n_state, self.n_inputs = n_state, n_inputs
+
+    def _split(self, tensors: Tensors) -> tuple[Tensors, Tensors, Tensors]:
+        last = self.n_state + self.n_inputs
+        return tensors[: self.n_state], tensors[self.n_state : last], tensors[last:]
+
+    def _compile(self, tensors: Tensors) -> Function:
+        with torch._inductor.config.patch(SETTINGS):
+            try:
+                return self._traced(tensors)
+            except Exception as error:  # a caller's activation or reward may raise any kind
+                graph = self._one_by_one(tensors)
+                warnings.warn(f"steps run one by one, slower ({telling_line(error)})", stacklevel=2)
+                return graph
+
+    def _traced(self, tensors: Tensors) -> Function:
+        state, inputs, constants = self._split(tensors)
+        first = *state, *(each[0] for each in inputs), *constants
+        step, frozen = _lifted(make_fx(_apart(self.function))(*first))
+
+        def steps(*tensors: Tensor) -> Tensors:
+            state, inputs, constants = self._split(tensors)
+            return tuple(scan_op(step, [*state], [*inputs], constants))
+
+        graph = _compiled(steps, (*tensors, *frozen), self.options)
+        return lambda *tensors: graph(*tensors, *frozen)
+
+    def _one_by_one(self, tensors: Tensors) -> Function:
+        """One call a step; raises a ConfigError where a step cannot be traced either."""
+        step = Graph(self.function)
+        state, inputs, constants = self._split(tensors)
+        step(*(tensor.clone() for tensor in state), *(each[0] for each in inputs), *constants)
+
+        def steps(*tensors: Tensor) -> Tensors:
+            state, inputs, constants = self._split(tensors)
+            outputs = []
+            for each in zip(*inputs, strict=True):
+                found = step(*state, *each, *constants)
+                state = found[: self.n_state]
+                outputs.append(found[self.n_state :])
+            return *state, *(torch.stack(each) for each in zip(*outputs, strict=True))
+
+        return steps
 
 
 class Loop(Graph):
@@ -172,6 +234,35 @@ def _each_once(traced: fx.GraphModule) -> fx.GraphModule:
         call.replace_all_uses_with(call.args[0])
         traced.graph.erase_node(call)
     return fx.GraphModule(traced, fx_graph_cse(traced.graph))
+
+
+def _apart(step: Function) -> Function:
+    """The same step, with a copy of each output that is an input or an earlier output: a scan has no two
+    names for one tensor.
+    """
+
+    def apart(*tensors: Tensor) -> Tensors:
+        known, found = {id(tensor) for tensor in tensors}, []
+        for tensor in step(*tensors):
+            found.append(tensor.clone() if id(tensor) in known else tensor)
+            known.add(id(tensor))
+        return tuple(found)
+
+    return apart
+
+
+def _lifted(traced: fx.GraphModule) -> tuple[fx.GraphModule, Tensors]:
+    """The same trace with the tensors that its function closes over as further arguments, and these."""
+    calls, frozen = traced.graph, {}
+    last = calls.find_nodes(op="placeholder")[-1]
+    for node in calls.find_nodes(op="get_attr"):
+        if node.target not in frozen:
+            with calls.inserting_after(last):
+                last = calls.placeholder(f"frozen_{len(frozen)}")
+            frozen[node.target] = last
+        node.replace_all_uses_with(frozen[node.target])
+        calls.erase_node(node)
+    return fx.GraphModule(traced, calls), [getattr(traced, name) for name in frozen]
 
 
 def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> Function:

@@ -15,8 +15,9 @@ from torch import Tensor
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from uavnav.acting import Actor
 from uavnav.errors import ConfigError, told
-from uavnav.graph import Graph
+from uavnav.graph import Graph, Scan
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.seeding import Chance, places
 from uavnav.tasks.state import COUNTS, UP, State, where
@@ -29,7 +30,7 @@ unchecked = getattr(TensorDict, "_new_unsafe", TensorDict)
 """As TorchRL's own environments make theirs: checks would cost more than a small step."""
 
 LEAVES = ("observation", "reward", "done", "terminated", "truncated")
-N_LEAVES = len(LEAVES)
+N_LEAVES, N_COUNTS = len(LEAVES), 1 + len(COUNTS)
 
 
 MOST_ROWS = 10_000_000
@@ -126,6 +127,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self.task = whole.replace(layouts=whole.layouts.to(self.device))
         self.world, self.layouts = self.task.world, self.task.layouts
         self._first = self._sense_starts()
+        self._scans: dict[Actor, Scan] | None = None
         self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
         self._make_specs()
         self._seed(seeds)
@@ -262,18 +264,74 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return tensordict, self.root()
 
     def compile(self) -> DroneEnv:
-        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it
+        """Run the steps of all rows as compiled graphs; TorchRL's own would trace the TensorDicts around them
         too.
 
         The task is then that of the first step.
         """
-        self._advance = Graph(self._advance_rows)
+        self._advance, self._scans = Graph(self._advance_rows), {}
         return self
 
     def eager(self) -> DroneEnv:
         """Undo `compile`."""
-        self._advance = self._advance_rows
+        self._advance, self._scans = self._advance_rows, None
         return self
+
+    @property
+    def compiled(self) -> bool:
+        """Whether its steps are compiled graphs."""
+        return self._scans is not None
+
+    def rollout(self, max_steps: int, policy: Any = None, *args: Any, **how: Any) -> TensorDictBase:
+        """TorchRL's; steps of an `Actor` that no episode's end breaks are one graph where the environment is
+        compiled.
+        """
+        plain = isinstance(policy, Actor) and not args and how == {"break_when_any_done": False}
+        if not (self.compiled and plain):
+            return super().rollout(max_steps, policy, *args, **how)
+        self.reset()
+        return self.steps(policy, max_steps)
+
+    @torch.no_grad()
+    def steps(self, actor: Actor, n: int) -> TensorDict:
+        """n steps of an actor from where the environment is, as one compiled graph: [*B, n], as a collector's.
+
+        actor: of this environment's agents, whose batch is [agents, environments].
+        """
+        agents, environments = self.batch_size
+        headings, *draws = [one for one in self._chance.steps(n) if one is not None]
+        draws = [headings.reshape(n, agents, -1), *(one.reshape(n, agents, environments, -1) for one in draws)]
+        inputs = [*actor.draw(n, environments), *draws]
+        scan = self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, len(inputs)))
+        found = scan(*self.state, self._observation, *inputs, self.layouts, *self._first, *actor.weights)
+        kind = self.task.state_class
+        self.state, self._observation = kind(*found[: len(kind._fields)]), found[len(kind._fields)]
+        self._begins_here = False
+        rows = [each.movedim(0, 2) for each in found[len(kind._fields) + 1 :]]
+        action, observation, *counts = rows[: 2 + N_COUNTS]
+        leaves, final = rows[2 + N_COUNTS :][:N_LEAVES], rows[2 + N_COUNTS + N_LEAVES :]
+        never = self._never[..., None, :].expand(agents, environments, n, 1)
+        root = {"observation": observation, **dict.fromkeys(("done", "terminated", "truncated"), never)}
+        batch = self._batch(root, counts)
+        batch["action"], batch["next"] = action, self._batch(dict(zip(LEAVES, leaves, strict=True)), final)
+        return batch
+
+    def _scan(self, actor: Actor, n_inputs: int) -> Scan:
+        n_state, n_first = len(self.task.state_class._fields), len(self._first)
+        counted = [self.task.state_class._fields.index(name) for name in ("layout", *COUNTS)]
+
+        def step(*tensors: Tensor) -> Sequence[Tensor]:
+            state, (observation, *others) = tensors[:n_state], tensors[n_state:]
+            (uniform, epsilon, heading, *draws), others = others[:n_inputs], others[n_inputs:]
+            (layouts, *known), weights = others[: 1 + n_first], others[1 + n_first :]
+            (action,) = actor.choose(observation, uniform, epsilon, *weights)
+            found = self._advance_rows(*state, action, heading, layouts, *known, *reversed(draws))
+            after = N_LEAVES + len(self.task.STATE._fields)
+            leaves, final, (seen, *following) = found[:N_LEAVES], found[N_LEAVES:after], found[after:]
+            before = [action, observation, *(state[field] for field in counted)]
+            return *following, seen, *before, *leaves, *(final[field] for field in counted)
+
+        return Scan(step, n_state + 1, n_inputs, cpp_wrapper=self.device.type == "cpu")
 
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
         """State, action, start headings, layouts, then what is sensed first, and draws -> the step's leaves,
@@ -308,9 +366,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self._tensordict({"observation": self._observation, **flags}, self.state)
 
     def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
-        kind: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
-        counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
-        return unchecked({**leaves, "episode": unchecked(counts, **kind)}, **kind)
+        return self._batch(leaves, [getattr(state, name) for name in ("layout", *COUNTS)])
+
+    def _batch(self, leaves: dict[str, Tensor], counts: Sequence[Tensor]) -> TensorDict:
+        """Leaves and counts of rows [*B], or of steps [*B, T], as TorchRL has them."""
+        kind: dict[str, Any] = {"batch_size": counts[0].shape, "device": self.device}
+        episode = dict(zip(("layout", *COUNTS), counts, strict=True))
+        return unchecked({**leaves, "episode": unchecked(episode, **kind)}, **kind)
 
 
 def _leaves(outcome: Outcome) -> dict[str, Tensor]:

@@ -97,6 +97,18 @@ class Chance:
             self._starts = self.headings(), self._drawn(FIRST)
         return self._drawn(LATER)
 
+    def steps(self, n: int) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        """What n steps need, one after the other: start headings [n, seeds, rows], then draws of starts and
+        of steps [n, seeds, rows, n_draws]; None where they need none.
+        """
+        if not self._task.n_draws and self._task.world.start_heading == "up":
+            return self.headings().expand(n, -1, -1), None, None
+        drawn = [(self.step(), *self.start()) for _ in range(n)]
+        later, headings, first = (
+            None if each[0] is None else torch.stack(each) for each in zip(*drawn, strict=True)
+        )
+        return headings, first, later
+
     def _drawn(self, purpose: str) -> Tensor | None:
         if purpose not in self._streams:
             return None

@@ -225,9 +225,17 @@ def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
     return env.compile() if compile else env
 
 
-def make_collector(env: DroneEnv, actor: Actor, config: TrainConfig) -> Collector:
-    """TorchRL's, from where the environment is: batches [A, W, T], one after the other."""
-    return Collector(
+class Rollouts(Collector):  # type: ignore[misc]
+    """TorchRL's collector, whose batch is one call of a graph where the environment is compiled."""
+
+    def rollout(self) -> TensorDictBase:
+        """The next steps [A, W, T]."""
+        return self.env.steps(self.policy, self.frames_per_batch) if self.env.compiled else super().rollout()
+
+
+def make_collector(env: DroneEnv, actor: Actor, config: TrainConfig) -> Rollouts:
+    """From where the environment is: batches [A, W, T], one after the other."""
+    return Rollouts(
         env,
         actor,
         frames_per_batch=config.n_seeds * config.frames_per_iteration,

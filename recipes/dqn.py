@@ -53,7 +53,8 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
 
     # update: Adam on each seed's own gradient, whose norm is clipped
     adam = Adam(config.lr, config.adam_eps)
-    learner = Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=session.compile)
+    how = {"max_grad_norm": config.max_grad_norm, "compile": session.compile, "read": replay.read}
+    learner = Learner(loss, ["loss"], adam, **how)
 
     # loop: collect steps [A, W, T]; renew the target now and then; learn from minibatches of the buffer
     probe = probes.poses(config.make_task()).to(config.device)

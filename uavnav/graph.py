@@ -91,14 +91,15 @@ class Scan(Graph):
     Args:
         step: (*state, *inputs, *constants) -> (*next state, *outputs).
         n_state, n_inputs: numbers of tensors in the state and in the inputs.
+        time: the dimension of T in an output.
         options: inductor's options.
 
-    Call: (*state, *inputs [T, ...] of T steps, *constants) -> (*state after them, *outputs [T, ...]).
+    Call: (*state, *inputs [T, ...] of T steps, *constants) -> (*state after them, *outputs [..., T, ...]).
     """
 
-    def __init__(self, step: Function, n_state: int, n_inputs: int, **options: Any) -> None:
+    def __init__(self, step: Function, n_state: int, n_inputs: int, time: int = 0, **options: Any) -> None:
         super().__init__(step, **options)
-        self.n_state, self.n_inputs = n_state, n_inputs
+        self.n_state, self.n_inputs, self.time = n_state, n_inputs, time
 
     def _split(self, tensors: Tensors) -> tuple[Tensors, Tensors, Tensors]:
         last = self.n_state + self.n_inputs
@@ -120,7 +121,8 @@ class Scan(Graph):
 
         def steps(*tensors: Tensor) -> Tensors:
             state, inputs, constants = self._split(tensors)
-            return tuple(scan_op(step, [*state], [*inputs], constants))
+            found = scan_op(step, [*state], [*inputs], constants)
+            return *found[: self.n_state], *(each.movedim(0, self.time) for each in found[self.n_state :])
 
         graph = _compiled(steps, (*tensors, *frozen), self.options)
         return lambda *tensors: graph(*tensors, *frozen)
@@ -138,7 +140,7 @@ class Scan(Graph):
                 found = step(*state, *each, *constants)
                 state = found[: self.n_state]
                 outputs.append(found[self.n_state :])
-            return *state, *(torch.stack(each) for each in zip(*outputs, strict=True))
+            return *state, *(torch.stack(each, self.time) for each in zip(*outputs, strict=True))
 
         return steps
 

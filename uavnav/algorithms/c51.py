@@ -122,7 +122,7 @@ def project(probabilities: Tensor, places: Tensor, atoms: Tensor) -> Tensor:
 
 class C51Loss(LossModule):  # type: ignore[misc]
     """The cross-entropy of the projected target and the prediction, one loss a row: batches [A, B] of
-    `Replay.draw`.
+    `Replay.read`.
 
     TorchRL's own DistributionalDQNLoss takes one batch dimension, branches on values and is always double.
     """

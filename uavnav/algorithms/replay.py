@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer, Storage
 from torchrl.data.replay_buffers import Sampler
@@ -25,8 +25,8 @@ from uavnav.training.config import TrainConfig
 
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
-FRAME_BYTES = 14
-"""Of a transition besides its observations: action, reward and two flags."""
+OTHERS = 4
+"""Numbers of a transition besides its observations: action, reward and two flags."""
 
 
 class ReplayConfig(TrainConfig):
@@ -60,7 +60,7 @@ class ReplayConfig(TrainConfig):
         super().check_machine()
         capacity = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1
-        needed = self.n_seeds * capacity * (observations * 4 * self.observation_size + FRAME_BYTES)
+        needed = 4 * self.n_seeds * capacity * (observations * self.observation_size + OTHERS)
         named = f"buffer_size={self.buffer_size}, n_seeds={self.n_seeds}: the buffer"
         self.check_memory(named, needed, "a smaller buffer_size or fewer seeds")
         named = f"batch_size={self.batch_size}, n_seeds={self.n_seeds}: the observations of a batch"
@@ -116,6 +116,9 @@ class Replay:
     ends at a collision, and at a time limit, whose own last observation is s' then: `steps_to_next_obs` says
     after how many steps.
 
+    A step is one row of F numbers: s, a, R, whether the episode is done and terminated, and s' where it is
+    kept. What lies together in memory is written and read in one go.
+
     Args:
         seeds: one for each agent.
         capacity: the newest so many transitions of each agent are kept.
@@ -141,80 +144,83 @@ class Replay:
         self.buffer = ReplayBuffer(storage=AgentStorage(capacity, device=device), sampler=self.sampler)
 
     def extend(self, batch: TensorDictBase) -> None:
-        """Write steps [A, W, T], as rows [T W, A] in the order of time: agents stay apart."""
-        following = ["reward", "done", "terminated", *(["observation"] if self.keeps_next else [])]
-        rows = batch.select("observation", "action", *(("next", name) for name in following))
-        self.buffer.extend(rows.transpose(1, 2).flatten(1, 2).transpose(0, 1))
+        """Write steps [A, W, T], as rows [T W, A, F] in the order of time: agents stay apart."""
+        observation, following = batch["observation"], batch["next"]
+        numbers = [observation, batch["action"][..., None]]
+        numbers += [following[name] for name in ("reward", "done", "terminated")]
+        numbers += [following["observation"]] if self.keeps_next else []
+        self.buffer.extend(torch.cat(numbers, -1).permute(2, 1, 0, 3).flatten(0, 1))
 
     def draw(self, n_batches: int, batch_size: int) -> TensorDictBase:
-        """Uniformly drawn transitions [A, M, N]: M minibatches of N."""
-        batch = self.buffer.sample(n_batches * batch_size)
-        if self.sampler.successors:
-            batch, *later = batch.unbind(0)
-            if self.n_steps > 1:
-                self._sum_rewards(batch, later[: self.n_steps - 1])
-            if not self.keeps_next:
-                batch["next", "observation"] = later[-1]["observation"]
-        return batch.reshape(len(batch), n_batches, batch_size)
+        """Uniformly drawn rows, each with its S successors: `rows` [A, M, N, 1 + S, F] of M minibatches of N,
+        which `read` reads.
+        """
+        rows = self.buffer.sample(n_batches * batch_size).movedim(0, 2)
+        return TensorDict({"rows": rows.unflatten(1, (n_batches, batch_size))}, (len(rows), n_batches))
 
-    def _sum_rewards(self, batch: TensorDictBase, later: Sequence[TensorDictBase]) -> None:
-        following = batch["next"]
+    def read(self, batch: TensorDictBase) -> TensorDict:
+        """Rows that were drawn as transitions [..., N], for a loss; compiled with it."""
+        rows = batch["rows"]
+        size = (rows.shape[-1] - OTHERS) // (1 + self.keeps_next)
+        observation, action, *flags, after = rows.split([size, 1, 1, 1, 1, size * self.keeps_next], -1)
+        reward, done, terminated = flags[0], flags[1] > 0, flags[2] > 0
+        following = {"reward": reward[..., 0, :], "done": done[..., 0, :], "terminated": terminated[..., 0, :]}
+        following["observation"] = after[..., 0, :] if self.keeps_next else observation[..., -1, :]
         steps = torch.ones_like(following["done"], dtype=torch.int64)
-        for n, step in enumerate(later, 1):
-            over, then = following["done"], step["next"]
-            following["reward"] = following["reward"] + torch.where(over, 0, self.gamma**n * then["reward"])
+        for n in range(1, self.n_steps):
+            over, then = following["done"], reward[..., n, :]
+            following["reward"] = following["reward"] + torch.where(over, 0, self.gamma**n * then)
             if self.keeps_next:
-                following["observation"] = torch.where(over, following["observation"], then["observation"])
-            for flag in ("terminated", "done"):
-                following[flag] = following[flag] | (then[flag] & ~over)
+                following["observation"] = torch.where(over, following["observation"], after[..., n, :])
+            for flag, later in (("terminated", terminated), ("done", done)):
+                following[flag] = following[flag] | (later[..., n, :] & ~over)
             steps = steps + ~over
-        if self.keeps_next:
-            batch["steps_to_next_obs"] = steps
+        found = {"observation": observation[..., 0, :], "action": action[..., 0, 0].long(), "next": following}
+        if self.keeps_next and self.n_steps > 1:
+            found["steps_to_next_obs"] = steps
+        return TensorDict(found, rows.shape[:-2])
 
 
 class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
-    """TorchRL's storage of rows [A, ...], read as an `AgentSampler` draws them: by (row, agent).
+    """TorchRL's storage of rows [A, F], read as an `AgentSampler` draws them: by (row, agent).
 
     A large buffer's rows are all over the memory. `index_select` waits for them a third as long as an index
     of two tensors does, and copies the same numbers.
     """
 
-    def get(self, index: slice | Tensor | tuple[Tensor, Tensor]) -> TensorDictBase:
+    def get(self, index: slice | Tensor | tuple[Tensor, Tensor]) -> Tensor:
         if not isinstance(index, tuple):
             return super().get(index)
         rows, agents = index
         whole = super().get(slice(None))
         drawn = (rows * whole.shape[1] + agents).flatten()
-        return whole.apply(
-            lambda column: column.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape),
-            batch_size=rows.shape,
-        )
+        return whole.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape)
 
 
 class AgentSampler(Sampler):  # type: ignore[misc]
-    """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows uniformly, a batch
-    [A, N].
+    """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows uniformly, each
+    with its successors, [1 + S, A, N].
 
     Args:
         seeds: one for each agent.
-        successors: every row is drawn with others so many rows later, in batches [1 + S, A, N]. The newest
-            rows are not drawn until all their successors are there.
+        successors: how many rows later they are. The newest rows are not drawn until all of theirs are there.
     """
 
     def __init__(self, seeds: Sequence[int], successors: Sequence[int] = ()) -> None:
         self.streams = Streams(seeds, "replay")
         self.successors = successors
+        self._later = torch.tensor([0, *successors])[:, None, None]
+        self._agents = torch.arange(len(seeds))[:, None]
         self._newest = -1
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
         size = len(storage)
         there = size - max(self.successors, default=0)
-        rows = self.streams.draw(torch.randint, there, (batch_size,), device=storage.device)
+        rows = self.streams.draw(torch.randint, there, (batch_size,), device="cpu")
         if self.successors:
             rows = rows + self._newest + 1  # counted from the oldest
-            rows = torch.stack([(rows + later) % size for later in (0, *self.successors)])
-        agents = torch.arange(rows.shape[-2], device=rows.device)[:, None]
-        return (rows, agents), {}
+        rows = (rows + self._later) % size
+        return (rows.to(storage.device), self._agents.to(storage.device)), {}
 
     def extend(self, index: Tensor) -> None:
         """Rows were written there, in the order of time."""

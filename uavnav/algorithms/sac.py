@@ -34,7 +34,7 @@ from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
-from uavnav.training.update import Adam, Learner
+from uavnav.training.update import Adam, Learner, Read
 
 __all__ = ["PRESETS", "SAC", "SACConfig", "train"]
 
@@ -142,13 +142,14 @@ class SACLoss(nn.Module):
         return log_pi.softmax(-1), log_pi
 
 
-def make_learner(loss: nn.Module, config: SACConfig, compile: bool) -> Learner:
+def make_learner(loss: nn.Module, config: SACConfig, compile: bool, read: Read) -> Learner:
     """One Adam for all three losses, each at the weights before the step; the targets follow softly after
-    it.
+    it. read: the transitions of rows that were drawn.
     """
     losses = ["loss_actor", "loss_qvalue", "loss_alpha"]
     adam = Adam(config.lr, config.adam_eps)
-    return Learner(loss, losses, adam, max_grad_norm=config.max_grad_norm, compile=compile, tau=config.tau)
+    how: dict[str, Any] = {"max_grad_norm": config.max_grad_norm, "tau": config.tau, "read": read}
+    return Learner(loss, losses, adam, compile=compile, **how)
 
 
 class SAC:
@@ -159,9 +160,9 @@ class SAC:
         self.policy, self.twins = make_networks(config)
         self.loss = SACLoss(self.policy, self.twins, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
-        self.learner = make_learner(self.loss, config, compile)
         capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
         self.transitions = Replay(config.seeds, capacity, config.n_envs, next_too, device=config.device)
+        self.learner = make_learner(self.loss, config, compile, self.transitions.read)
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}

@@ -307,14 +307,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         kind = self.task.state_class
         self.state, self._observation = kind(*found[: len(kind._fields)]), found[len(kind._fields)]
         self._begins_here = False
-        rows = [each.movedim(0, 2) for each in found[len(kind._fields) + 1 :]]
-        action, observation, *counts = rows[: 2 + N_COUNTS]
-        leaves, final = rows[2 + N_COUNTS :][:N_LEAVES], rows[2 + N_COUNTS + N_LEAVES :]
+        action, observation, *rows = found[len(kind._fields) + 1 :]
         never = self._never[..., None, :].expand(agents, environments, n, 1)
-        root = {"observation": observation, **dict.fromkeys(("done", "terminated", "truncated"), never)}
-        batch = self._batch(root, counts)
-        batch["action"], batch["next"] = action, self._batch(dict(zip(LEAVES, leaves, strict=True)), final)
-        return batch
+        flags = dict.fromkeys(("done", "terminated", "truncated"), never)
+        following = dict(zip(LEAVES, rows[N_COUNTS:-N_COUNTS], strict=True))
+        root = {"observation": observation, "action": action, **flags}
+        root["next"] = self._batch(following, rows[-N_COUNTS:])
+        return self._batch(root, rows[:N_COUNTS])
 
     def _scan(self, actor: Actor, n_inputs: int) -> Scan:
         n_state, n_first = len(self.task.state_class._fields), len(self._first)
@@ -331,7 +330,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             before = [action, observation, *(state[field] for field in counted)]
             return *following, seen, *before, *leaves, *(final[field] for field in counted)
 
-        return Scan(step, n_state + 1, n_inputs, cpp_wrapper=self.device.type == "cpu")
+        return Scan(step, n_state + 1, n_inputs, time=2, cpp_wrapper=self.device.type == "cpu")
 
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
         """State, action, start headings, layouts, then what is sensed first, and draws -> the step's leaves,
@@ -368,7 +367,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
         return self._batch(leaves, [getattr(state, name) for name in ("layout", *COUNTS)])
 
-    def _batch(self, leaves: dict[str, Tensor], counts: Sequence[Tensor]) -> TensorDict:
+    def _batch(self, leaves: dict[str, Any], counts: Sequence[Tensor]) -> TensorDict:
         """Leaves and counts of rows [*B], or of steps [*B, T], as TorchRL has them."""
         kind: dict[str, Any] = {"batch_size": counts[0].shape, "device": self.device}
         episode = dict(zip(("layout", *COUNTS), counts, strict=True))

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol
 
 from pydantic import Field
 from safetensors.torch import save
+import torch
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -117,11 +118,11 @@ class Checkpoints:
     def _save_new_rows(self, replay: ReplayBuffer, rows: int) -> None:
         capacity = replay.storage.max_size
         first = max(self._rows_saved, rows - capacity)
-        step = max(CHUNK_BYTES // replay[:1].bytes(), 1) if first < rows else 1
+        step = max(CHUNK_BYTES // replay[:1].nbytes, 1) if first < rows else 1
         for begin in range(first, rows, step):
             end = min(begin + step, rows)
             positions = [row % capacity for row in range(begin, end)]
-            self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", replay[positions], {})]
+            self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", TensorDict({"rows": replay[positions]}), {})]
             self._rows_saved = end
         ends = [*(_first_row(name) for name in self._chunks[1:]), rows]
         self._chunks = [name for name, end in zip(self._chunks, ends, strict=False) if end > rows - capacity]
@@ -202,10 +203,8 @@ class Checkpoints:
         kinds = set()
         for name, first, end in zip(snapshot.chunks, firsts, [*firsts[1:], snapshot.frames], strict=False):
             found, _ = self._read(self.folder / name)
-            rows = found["action"].shape if "action" in found else ()
-            if not 0 < end - first == next(iter(rows), 0) or any(
-                one.shape[: len(rows)] != rows for one in found.values()
-            ):
+            rows = found["rows"] if found.keys() == {"rows"} else torch.empty(0)
+            if rows.ndim != 3 or not 0 < end - first == len(rows):
                 raise RunError(f"{snapshot.path}: its {name} has other rows")
             kinds.add(tuple(sorted((key, str(one.dtype), *one.shape[1:]) for key, one in found.items())))
         wanted = 0 if replay is None else max(snapshot.frames - replay.storage.max_size, 0)
@@ -261,7 +260,7 @@ def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> No
     """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the
     ring.
     """
-    rows = TensorDict(chunk, batch_size=chunk["action"].shape).unflatten_keys("/")
+    rows = chunk["rows"]
     while skipped := (first - replay.write_count) % replay.storage.max_size:
         # more than the whole ring was written between two snapshots: no row counts yet
         replay.extend(rows[:skipped])

@@ -228,9 +228,12 @@ def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
 class Rollouts(Collector):  # type: ignore[misc]
     """TorchRL's collector, whose batch is one call of a graph where the environment is compiled."""
 
-    def rollout(self) -> TensorDictBase:
-        """The next steps [A, W, T]."""
-        return self.env.steps(self.policy, self.frames_per_batch) if self.env.compiled else super().rollout()
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """The next steps [A, W, T], batch after batch."""
+        if not self.env.compiled:
+            yield from super().iterator()
+        while True:
+            yield self.env.steps(self.policy, self.frames_per_batch)
 
 
 def make_collector(env: DroneEnv, actor: Actor, config: TrainConfig) -> Rollouts:

@@ -45,7 +45,7 @@ Log = Callable[[Columns], None]
 """Is told rows of progress with a column more: `reward`, as of `with_reward`."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
-SNAPSHOT_FORMAT = 6
+SNAPSHOT_FORMAT = 7
 """Raised when what a snapshot holds of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""

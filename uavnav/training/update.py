@@ -30,6 +30,10 @@ An agent's minibatches then find these in the caches, which a step of all agents
 """
 
 
+Read = Callable[[TensorDictBase], TensorDictBase]
+"""Makes of a minibatch what a loss is given; a part of the step, compiled with it."""
+
+
 class Adam(NamedTuple):
     """As at the end of section 2 of Kingma and Ba (2015): the bias of the moments is corrected in the
     rate.
@@ -89,6 +93,7 @@ class Learner:
         max_grad_norm: each agent's gradient is scaled down to this norm; None leaves it as it is.
         compile: run all minibatches of a call as one compiled graph.
         tau: the share of the way to its parameter that a target goes after each step.
+        read: makes of a minibatch what the loss is given, as a part of the step.
     """
 
     def __init__(
@@ -100,8 +105,9 @@ class Learner:
         max_grad_norm: float | None,
         compile: bool,
         tau: float = 0.0,
+        read: Read = lambda batch: batch.clone(False),
     ) -> None:
-        self.loss, self.optimiser = loss, optimiser
+        self.loss, self.optimiser, self.read = loss, optimiser, read
         self.names = (*losses, "grad_norm")
         self.max_grad_norm = math.inf if max_grad_norm is None else max_grad_norm
         self.compile, self.tau = compile, tau
@@ -153,7 +159,7 @@ class Learner:
         """One step: the losses and the gradient's norm [losses + 1, A], and the next state."""
         params = state["params"]
         with torch.enable_grad():
-            found = self.loss(batch.clone(False))  # DQNLoss writes its errors into what it is given
+            found = self.loss(self.read(batch))  # DQNLoss writes its errors into what it is given
             losses = torch.stack([found[name].flatten(1).mean(1) for name in self.names[:-1]])
             parts = torch.autograd.grad(losses.sum(), list(params.values()))
         norm = torch.stack([part.flatten(1).square().sum(1) for part in parts]).sum(0).sqrt()

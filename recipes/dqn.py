@@ -48,12 +48,20 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     # buffer: transitions (s, a, R, s'), from which each seed draws its own
     capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
     replay = Replay(
-        config.seeds, capacity, config.n_envs, next_too, config.n_steps, config.gamma, config.device
+        config.seeds,
+        capacity,
+        config.n_envs,
+        config.observation_size,
+        next_too,
+        config.n_steps,
+        config.gamma,
+        config.device,
     )
 
     # update: Adam on each seed's own gradient, whose norm is clipped
     adam = Adam(config.lr, config.adam_eps)
-    how = {"max_grad_norm": config.max_grad_norm, "compile": session.compile, "read": replay.read}
+    how = {"max_grad_norm": config.max_grad_norm, "compile": session.compile}
+    how |= {"read": replay.read, "memory": [replay.storage.ring]}
     learner = Learner(loss, ["loss"], adam, **how)
 
     # loop: collect steps [A, W, T]; renew the target now and then; learn from minibatches of the buffer

@@ -168,7 +168,9 @@ def test_the_gradient_of_3_agents_is_each_ones_own(algorithm, monkeypatch):
     config, seen = configured(algorithm, n_seeds=3), []
     with monkeypatch.context() as patch:
         patch.setattr(
-            Learner, "learn", lambda self, minibatches: seen.append(minibatches[:, 0].clone()) or {}
+            Learner,
+            "learn",
+            lambda self, some: seen.append(self.read(some[:, 0], *self.memory).clone()) or {},
         )
         trainee = config.make(compile=False)
         collected = make_collector(make_env(config, False), trainee.actor, config)
@@ -273,12 +275,12 @@ def test_sampled_episodes_act_as_training_acted_with_the_same_uniform_numbers(al
     trainee, saved = config.make(compile=False), load_file(run.path / POLICY)
     network, actor = trainee.networks()["policy"], trainee.actor
     network.load_state_dict({name: saved[f"policy.{name}"] for name in network.state_dict()})
-    actor.epsilon.fill_(config.final_epsilon)
+    epsilon = torch.tensor(config.final_epsilon)
     observation = observations(1000).reshape(2, 500, 30)
     generators = [torch.Generator().manual_seed(7 + seed) for seed in config.seeds]
     uniform = torch.stack([torch.rand(ACTS[actor.acts].uniforms, 500, generator=one) for one in generators])
     with torch.no_grad():
-        (trained,) = actor.choose(observation, uniform, actor.epsilon, *network.parameters())
+        (trained,) = actor.choose(observation, uniform, epsilon, *network.parameters())
     for agent, seed in enumerate(config.seeds):
         policy = load_policy(run.path, seed, greedy=False)
         assert (policy.acts, policy.head, policy.epsilon) == (actor.acts, actor.head, config.final_epsilon)

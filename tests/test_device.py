@@ -133,4 +133,4 @@ def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
     network = dqn.make_network(config).to("meta")
     actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)
     batch = collected(env, actor, 1)
-    assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
+    assert {value.device.type for value in (*actor.draw(1, 4), *batch.values(True, True))} == {"meta"}

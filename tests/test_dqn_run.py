@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
+from tensordict import TensorDict
 
 from uavnav.acting import Actor
 from uavnav.algorithms.dqn import DQNConfig, make_network, train
@@ -65,22 +66,21 @@ def watch(config, folder):
     learned with.
     """
     seen = SimpleNamespace(epsilons=[], minibatches=[], losses=[], learned=[])
-    step, act, checkpoint = Learner.step, Actor.act, Recorder.checkpoint
+    step, draw, checkpoint = Learner.step, Actor.draw, Recorder.checkpoint
 
     def watch_replay(*given):
-        replay = Replay(*given)
-        seen.buffer = replay.buffer
-        return replay
+        seen.replay = Replay(*given)
+        return seen.replay
 
     def watch_step(self, minibatch):
-        seen.minibatches.append(minibatch.clone())
+        seen.minibatches.append(self.read(minibatch, *self.memory))
         seen.losses.append(step(self, minibatch))
         return seen.losses[-1]
 
-    def watch_act(self, observation):
-        action = act(self, observation)
-        seen.epsilons.append(self.epsilon.item())
-        return action
+    def watch_draw(self, n_steps, n_envs):
+        uniform, epsilon = draw(self, n_steps, n_envs)
+        seen.epsilons += epsilon.tolist()
+        return uniform, epsilon
 
     def watch_checkpoint(self, frames, parts, replay=None):
         seen.learned.append(len(seen.minibatches) - sum(seen.learned))
@@ -90,9 +90,15 @@ def watch(config, folder):
         patch.setattr("uavnav.algorithms.dqn.Replay", watch_replay)
         patch.setattr("uavnav.algorithms.replay.LOG_FRAMES", 32)
         patch.setattr(Learner, "step", watch_step)
-        patch.setattr(Actor, "act", watch_act)
+        patch.setattr(Actor, "draw", watch_draw)
         patch.setattr(Recorder, "checkpoint", watch_checkpoint)
         seen.run = train(config, out=folder, quiet=True)
+    rows = seen.replay.buffer[:]
+    observation, action, *flags, after = rows.split([30, 1, 1, 1, 1, rows.shape[-1] - 34], -1)
+    following = {"reward": flags[0], "done": flags[1] > 0, "terminated": flags[2] > 0}
+    following |= {"observation": after} if after.shape[-1] else {}
+    parts = {"observation": observation, "action": action[..., 0].long(), "next": following}
+    seen.stored = TensorDict(parts, rows.shape[:2])
     return seen
 
 
@@ -115,7 +121,7 @@ def test_each_4th_step_of_a_single_world_after_frame_10_is_followed_by_one_updat
 
 def test_the_buffer_holds_the_640_transitions_that_gymnasiums_worlds_fly_with_the_same_actions(watched):
     """Where an episode ends, the next observation is its own last one, and only a collision is terminated."""
-    stored = watched.buffer[:]
+    stored = watched.stored
     assert stored.batch_size == (640, 2)
     ends = {"terminated": 0, "truncated": 0, "seen": 0}
     for agent, seed in enumerate(WATCHED.seeds):
@@ -145,7 +151,7 @@ def whole(batch):
 
 def test_each_agent_learns_from_4_draws_of_its_own_a_round_from_all_that_it_did_so_far(watched):
     for agent, seed in enumerate(WATCHED.seeds):
-        stored = whole(watched.buffer[:][:, agent])
+        stored = whole(watched.stored[:, agent])
         draws = Streams([seed], "replay")
         for index in range(24):
             used = whole(
@@ -212,7 +218,7 @@ def test_a_row_of_progress_every_32_frames_has_its_epsilon_and_the_means_of_its_
 
 
 def test_the_run_flew_in_the_world_that_its_settings_and_its_cap_describe(watched):
-    stored = watched.buffer[:]
+    stored = watched.stored
     action, terminated = stored["action"], stored["next", "terminated"].squeeze(-1)
     expected = torch.where(terminated, -10.0, 0.01 * (action % 10))
     torch.testing.assert_close(stored["next", "reward"].squeeze(-1), expected)
@@ -246,7 +252,7 @@ def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_th
         compile="off",
     )
     seen = watch(config, tmp_path / "run")
-    stored = seen.buffer[:][:, 0]
+    stored = seen.stored[:, 0]
     with torch.no_grad():
         values = make_network(config)(stored["observation"][None])[0]
     explored = stored["action"] != values.argmax(-1)
@@ -263,7 +269,7 @@ def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
     settings = {"total_frames": 80, "learning_starts": 16, "batch_size": 4, "n_envs": 16, "max_steps": 1000}
     settings |= {"lr": 0.0, "compile": "off"}
     ring, everything = (
-        watch(DQNConfig(buffer_size=size, **settings), tmp_path / str(size)).buffer[:] for size in (48, 80)
+        watch(DQNConfig(buffer_size=size, **settings), tmp_path / str(size)).stored for size in (48, 80)
     )
     assert (ring.shape, everything.shape) == ((48, 1), (80, 1))
     newest = whole(everything)[32:]
@@ -280,10 +286,10 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
     config = DQNConfig(**UNLEARNED, buffer_size=size, compile="off")
     lean = watch(config, tmp_path / "lean")
     full = watch(config.replace(max_steps=10_000, buffer_size=400), tmp_path / "full")
-    assert "observation" not in lean.buffer[:]["next"].keys()  # noqa: SIM118  (a TensorDict is not a dict)
+    assert "observation" not in lean.stored["next"].keys()  # noqa: SIM118  (a TensorDict is not a dict)
     assert len(lean.minibatches) == len(full.minibatches) == 23 * 4
     for agent in (0, 1):
-        everything = full.buffer[:][:, agent]
+        everything = full.stored[:, agent]
         collided = everything["next", "terminated"].squeeze(-1)
         everything["next", "observation"][collided] = (
             0.0  # worth nothing, and in the lean buffer another episode's
@@ -312,7 +318,7 @@ def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstr
     seen = watch(
         DQNConfig(**UNLEARNED, n_steps=3, gamma=0.5, max_steps=limit, compile="off"), tmp_path / "run"
     )
-    stored = seen.buffer[:]
+    stored = seen.stored
     assert len(seen.minibatches) == 22 * 4  # the first step after frame 48
     for agent in (0, 1):
         own = stored[:, agent].reshape(25, 16)  # step, world

@@ -4,11 +4,10 @@ import pytest
 import torch
 from scipy import stats
 from tensordict import TensorDict
-from torchrl.data import ReplayBuffer
 
 from uavnav.acting import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.replay import AgentSampler, AgentStorage
+from uavnav.algorithms.replay import Replay
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import Chance, Streams, places, stream
 from uavnav.tasks.table import make_task
@@ -91,12 +90,12 @@ def test_an_actor_goes_on_from_its_streams_and_its_schedule():
     one.act(OBSERVATION)
     saved = one.state_dict()
     expected = [one.act(OBSERVATION) for _ in range(3)]
-    assert one.epsilon.item() == pytest.approx(0.7)
+    assert one.draw(1, 40)[1].item() == pytest.approx(0.6)
     assert not torch.equal(other.act(OBSERVATION), expected[0])
     for again in (other, one):
         again.load_state_dict(saved)
         assert all(torch.equal(again.act(OBSERVATION), actions) for actions in expected)
-        assert again.epsilon.item() == pytest.approx(0.7)
+        assert again.draw(2, 40)[1].tolist() == pytest.approx([0.6, 0.5])
 
 
 def test_a_head_turns_3_outputs_an_action_into_the_one_that_counts(monkeypatch):
@@ -156,50 +155,66 @@ def test_a_compiled_actor_chooses_as_the_eager_one(acts):
         assert torch.equal(compiled.act(OBSERVATION), eager.act(OBSERVATION))
 
 
-def buffer(seeds, batch_size):
-    """Rows [10, agents] whose value says which row and which agent's they are."""
-    replay = ReplayBuffer(
-        storage=AgentStorage(10),
-        sampler=AgentSampler(seeds),
-        batch_size=batch_size,
-    )
-    rows, agents = torch.arange(10)[:, None], torch.tensor(seeds)[None, :]
-    replay.extend(TensorDict({"row": (rows + 0 * agents), "agent": (agents + 0 * rows)}, [10, len(seeds)]))
+def ring(seeds, n_rows, capacity=10, **how):
+    """A ring whose row r of agent a has the observation (r, seed of a); rows are written two at a time."""
+    replay = Replay(seeds, capacity, 2, 2, keeps_next=not how, **how)
+    for first in range(0, n_rows, 2):
+        codes = torch.stack(
+            torch.broadcast_tensors(
+                *[torch.tensor(one) for one in ([[[first], [first + 1]]], [[[seed]] for seed in seeds])]
+            ),
+            -1,
+        ).float()  # [A, W, T, 2]
+        zero = torch.zeros(*codes.shape[:3], 1)
+        following = {"observation": codes, **dict.fromkeys(("reward", "done", "terminated"), zero)}
+        kind = {"observation": codes, "action": zero[..., 0], "next": following}
+        replay.extend(TensorDict(kind, codes.shape[:3]))
     return replay
 
 
+def drawn(replay, n):
+    """What is drawn of a ring, as one minibatch: [A, n]."""
+    return replay.read(replay.draw(1, n)[:, 0], replay.storage.ring)
+
+
 def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
-    alone, among = buffer([5], 64), buffer([3, 5, 8], 64)
+    alone, among = ring([5], 10), ring([3, 5, 8], 10)
     for _ in range(3):
-        a, b = alone.sample(), among.sample()
-        assert b.batch_size == (3, 64)
-        assert (b["agent"] == torch.tensor([[3], [5], [8]])).all()
-        assert torch.equal(a["row"][0], b["row"][1])
-        assert not torch.equal(b["row"][0], b["row"][1])
+        a, b = drawn(alone, 64)["observation"], drawn(among, 64)["observation"]
+        assert b.shape == (3, 64, 2)
+        assert (b[..., 1] == torch.tensor([[3], [5], [8]])).all()
+        assert torch.equal(a[0], b[1])
+        assert not torch.equal(b[0, :, 0], b[1, :, 0])
 
 
 def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
     """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before
     row + 2.
     """
-    replay = ReplayBuffer(
-        storage=AgentStorage(10), sampler=AgentSampler([0, 1], successors=[2]), batch_size=4000
-    )
-    for step in range(7):
-        replay.extend(TensorDict({"row": torch.tensor([[2 * step] * 2, [2 * step + 1] * 2])}, [2, 2]))
-    rows, following = replay.sample()["row"]
+    batch = drawn(ring([0, 1], 14, n_steps=1), 4000)
+    rows, following = batch["observation"][..., 0], batch["next", "observation"][..., 0]
     assert torch.equal(following, rows + 2)
-    counts = torch.bincount(rows.flatten(), minlength=12)
+    counts = torch.bincount(rows.flatten().long(), minlength=12)
     assert counts[:4].sum() == 0
     assert stats.chisquare(counts[4:].numpy()).pvalue > 1e-3
 
 
 def test_a_restored_sampler_draws_the_same_rows_again():
-    replay = buffer([1, 2], 32)
+    replay = ring([1, 2], 10)
     state = replay.sampler.state_dict()
-    first = replay.sample()["row"]
+    first = replay.draw(2, 16)["places"]
+    assert first.shape == (2, 2, 16, 1)
     replay.sampler.load_state_dict(state)
-    assert torch.equal(first, replay.sample()["row"])
+    assert torch.equal(first, replay.draw(2, 16)["places"])
+
+
+def test_the_buffer_samples_as_torchrls_do():
+    """Rows [1 + S, A, N, F] by its own call, of the ring that a graph reads."""
+    replay = ring([1, 2], 14, n_steps=1)
+    rows = replay.buffer.sample(32)
+    assert rows.shape == (2, 2, 32, 2 + 4)
+    assert torch.equal(rows[1, ..., 0], rows[0, ..., 0] + 2)
+    assert (len(replay.buffer), replay.buffer.write_count) == (10, 14)
 
 
 def test_streams_differ_by_seed_and_by_purpose():

@@ -30,7 +30,7 @@ from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
-from uavnav.training.update import Adam, Learner, Read
+from uavnav.training.update import Adam, Learner
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
 
@@ -161,10 +161,11 @@ def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
     return loss
 
 
-def make_learner(loss: nn.Module, config: QConfig, compile: bool, read: Read) -> Learner:
-    """Adam as SB3 sets it; read: the transitions of rows that were drawn."""
+def make_learner(loss: nn.Module, config: QConfig, compile: bool, replay: Replay | None = None) -> Learner:
+    """Adam as SB3 sets it, for transitions, or for what is drawn of a ring."""
     adam = Adam(config.lr, config.adam_eps)
-    return Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile, read=read)
+    how: dict[str, Any] = {"read": replay.read, "memory": [replay.storage.ring]} if replay else {}
+    return Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile, **how)
 
 
 def renews_target(config: QConfig, frames: int) -> bool:
@@ -192,9 +193,16 @@ class DQN:
         self.copy_to_target = HardUpdate(self.loss, value_network_update_interval=0)
         capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
         self.transitions = Replay(
-            config.seeds, capacity, config.n_envs, next_too, config.n_steps, config.gamma, config.device
+            config.seeds,
+            capacity,
+            config.n_envs,
+            config.observation_size,
+            next_too,
+            config.n_steps,
+            config.gamma,
+            config.device,
         )
-        self.learner = make_learner(self.loss, config, compile, self.transitions.read)
+        self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}

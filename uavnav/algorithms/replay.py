@@ -16,7 +16,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer, Storage
-from torchrl.data.replay_buffers import Sampler
+from torchrl.data.replay_buffers import RoundRobinWriter, Sampler
 
 from uavnav.errors import ConfigError
 from uavnav.settings import Count, Whole, key
@@ -123,6 +123,7 @@ class Replay:
         seeds: one for each agent.
         capacity: the newest so many transitions of each agent are kept.
         n_envs: that an agent steps at once.
+        observation_size: numbers in s.
         keeps_next: store s' with each step; else it is read from the same environment's later row.
         n_steps, gamma: the n steps of a target, and their discount.
         device: where the ring is.
@@ -133,38 +134,49 @@ class Replay:
         seeds: Sequence[int],
         capacity: int,
         n_envs: int,
+        observation_size: int,
         keeps_next: bool,
         n_steps: int = 1,
         gamma: float = 1.0,
         device: str = "cpu",
     ) -> None:
-        self.keeps_next, self.n_steps, self.gamma = keeps_next, n_steps, gamma
+        self.keeps_next, self.n_steps, self.gamma, self.size = keeps_next, n_steps, gamma, observation_size
         last = n_steps + (not keeps_next)
         self.sampler = AgentSampler(seeds, successors=[n * n_envs for n in range(1, last)])
-        self.buffer = ReplayBuffer(storage=AgentStorage(capacity, device=device), sampler=self.sampler)
+        self.writer = AgentWriter()
+        row = torch.empty(len(seeds), (1 + keeps_next) * observation_size + OTHERS)
+        self.storage = AgentStorage(capacity, row, device)
+        self.buffer = ReplayBuffer(storage=self.storage, sampler=self.sampler, writer=self.writer)
 
     def extend(self, batch: TensorDictBase) -> None:
         """Write steps [A, W, T], as rows [T W, A, F] in the order of time: agents stay apart."""
-        observation, following = batch["observation"], batch["next"]
-        numbers = [observation, batch["action"][..., None]]
+        following = batch["next"]
+        numbers = [batch["observation"], batch["action"][..., None]]
         numbers += [following[name] for name in ("reward", "done", "terminated")]
         numbers += [following["observation"]] if self.keeps_next else []
-        self.buffer.extend(torch.cat(numbers, -1).permute(2, 1, 0, 3).flatten(0, 1))
+        rows = torch.cat(numbers, -1).permute(2, 1, 0, 3).flatten(0, 1)
+        self.sampler.extend(self.writer.extend(rows))
 
     def draw(self, n_batches: int, batch_size: int) -> TensorDictBase:
-        """Uniformly drawn rows, each with its S successors: `rows` [A, M, N, 1 + S, F] of M minibatches of N,
-        which `read` reads.
+        """Uniformly drawn places in the ring, each with those of its S successors: `places` [A, M, N, 1 + S]
+        of M minibatches of N, which `read` looks up.
         """
-        rows = self.buffer.sample(n_batches * batch_size).movedim(0, 2)
-        return TensorDict({"rows": rows.unflatten(1, (n_batches, batch_size))}, (len(rows), n_batches))
+        (rows, agents), _ = self.sampler.sample(self.storage, n_batches * batch_size)
+        places = (rows * len(agents) + agents).movedim(0, 2).unflatten(1, (n_batches, batch_size))
+        return TensorDict._new_unsafe({"places": places}, places.shape[:2])
 
-    def read(self, batch: TensorDictBase) -> TensorDict:
-        """Rows that were drawn as transitions [..., N], for a loss; compiled with it."""
-        rows = batch["rows"]
-        size = (rows.shape[-1] - OTHERS) // (1 + self.keeps_next)
-        observation, action, *flags, after = rows.split([size, 1, 1, 1, 1, size * self.keeps_next], -1)
+    def read(self, batch: TensorDictBase, ring: Tensor) -> TensorDict:
+        """The transitions [..., N] at places that were drawn, for a loss; compiled with it."""
+        places = batch["places"]
+        rows = ring.flatten(0, 1).index_select(0, places.flatten()).unflatten(0, places.shape)
+        sizes = [self.size, 1, 1, 1, 1, self.size * self.keeps_next]
+        observation, action, *flags, after = rows.split(sizes, -1)
         reward, done, terminated = flags[0], flags[1] > 0, flags[2] > 0
-        following = {"reward": reward[..., 0, :], "done": done[..., 0, :], "terminated": terminated[..., 0, :]}
+        following = {
+            "reward": reward[..., 0, :],
+            "done": done[..., 0, :],
+            "terminated": terminated[..., 0, :],
+        }
         following["observation"] = after[..., 0, :] if self.keeps_next else observation[..., -1, :]
         steps = torch.ones_like(following["done"], dtype=torch.int64)
         for n in range(1, self.n_steps):
@@ -178,23 +190,40 @@ class Replay:
         found = {"observation": observation[..., 0, :], "action": action[..., 0, 0].long(), "next": following}
         if self.keeps_next and self.n_steps > 1:
             found["steps_to_next_obs"] = steps
-        return TensorDict(found, rows.shape[:-2])
+        return TensorDict(found, places.shape[:-1])
 
 
 class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
-    """TorchRL's storage of rows [A, F], read as an `AgentSampler` draws them: by (row, agent).
+    """TorchRL's storage of rows [A, F], whose memory is there from the beginning: a graph reads it."""
 
-    A large buffer's rows are all over the memory. `index_select` waits for them a third as long as an index
-    of two tensors does, and copies the same numbers.
-    """
+    def __init__(self, capacity: int, row: Tensor, device: str) -> None:
+        super().__init__(capacity, device=device)
+        self._init(row)
 
-    def get(self, index: slice | Tensor | tuple[Tensor, Tensor]) -> Tensor:
-        if not isinstance(index, tuple):
-            return super().get(index)
-        rows, agents = index
-        whole = super().get(slice(None))
-        drawn = (rows * whole.shape[1] + agents).flatten()
-        return whole.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape)
+    @property
+    def ring(self) -> Tensor:
+        """All rows [capacity, A, F], also those that nothing was written into yet."""
+        return self._storage
+
+    def put(self, index: Tensor, rows: Tensor) -> None:
+        """As `set`, without what it does for other kinds of data."""
+        self._storage[index] = rows
+        self._len = min(self._len + len(rows), self.max_size)
+
+
+class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
+    """TorchRL's writer of rows in turn, without what it does for buffers that processes share."""
+
+    def __init__(self) -> None:
+        super().__init__(compilable=True)
+
+    def extend(self, data: Tensor) -> Tensor:
+        """Write rows behind the newest ones; where they lie now."""
+        capacity, first = self._storage.max_size, self._cursor
+        index = torch.arange(first, first + len(data), device=data.device) % capacity
+        self._storage.put(index, data)
+        self._cursor, self._write_count = (first + len(data)) % capacity, self._write_count + len(data)
+        return index
 
 
 class AgentSampler(Sampler):  # type: ignore[misc]

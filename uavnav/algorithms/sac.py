@@ -34,7 +34,7 @@ from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
-from uavnav.training.update import Adam, Learner, Read
+from uavnav.training.update import Adam, Learner
 
 __all__ = ["PRESETS", "SAC", "SACConfig", "train"]
 
@@ -142,13 +142,14 @@ class SACLoss(nn.Module):
         return log_pi.softmax(-1), log_pi
 
 
-def make_learner(loss: nn.Module, config: SACConfig, compile: bool, read: Read) -> Learner:
+def make_learner(loss: nn.Module, config: SACConfig, compile: bool, replay: Replay | None = None) -> Learner:
     """One Adam for all three losses, each at the weights before the step; the targets follow softly after
-    it. read: the transitions of rows that were drawn.
+    it. For transitions, or for what is drawn of a ring.
     """
     losses = ["loss_actor", "loss_qvalue", "loss_alpha"]
     adam = Adam(config.lr, config.adam_eps)
-    how: dict[str, Any] = {"max_grad_norm": config.max_grad_norm, "tau": config.tau, "read": read}
+    how: dict[str, Any] = {"read": replay.read, "memory": [replay.storage.ring]} if replay else {}
+    how |= {"max_grad_norm": config.max_grad_norm, "tau": config.tau}
     return Learner(loss, losses, adam, compile=compile, **how)
 
 
@@ -161,8 +162,11 @@ class SAC:
         self.loss = SACLoss(self.policy, self.twins, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
         capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
-        self.transitions = Replay(config.seeds, capacity, config.n_envs, next_too, device=config.device)
-        self.learner = make_learner(self.loss, config, compile, self.transitions.read)
+        inputs = config.observation_size
+        self.transitions = Replay(
+            config.seeds, capacity, config.n_envs, inputs, next_too, device=config.device
+        )
+        self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}

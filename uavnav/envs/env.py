@@ -294,13 +294,16 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     @torch.no_grad()
     def steps(self, actor: Actor, n: int) -> TensorDict:
-        """n steps of an actor from where the environment is, as one compiled graph: [*B, n], as a collector's.
+        """Steps of an actor from where the environment is, as one compiled graph: [*B, n], as a collector's.
 
         actor: of this environment's agents, whose batch is [agents, environments].
         """
         agents, environments = self.batch_size
         headings, *draws = [one for one in self._chance.steps(n) if one is not None]
-        draws = [headings.reshape(n, agents, -1), *(one.reshape(n, agents, environments, -1) for one in draws)]
+        draws = [
+            headings.reshape(n, agents, -1),
+            *(one.reshape(n, agents, environments, -1) for one in draws),
+        ]
         inputs = [*actor.draw(n, environments), *draws]
         scan = self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, len(inputs)))
         found = scan(*self.state, self._observation, *inputs, self.layouts, *self._first, *actor.weights)

@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol
 
+import torch
 from pydantic import Field
 from safetensors.torch import save
-import torch
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -122,7 +122,10 @@ class Checkpoints:
         for begin in range(first, rows, step):
             end = min(begin + step, rows)
             positions = [row % capacity for row in range(begin, end)]
-            self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", TensorDict({"rows": replay[positions]}), {})]
+            self._chunks = [
+                *self._chunks,
+                self._write(f"replay-{begin:012d}", TensorDict({"rows": replay[positions]}), {}),
+            ]
             self._rows_saved = end
         ends = [*(_first_row(name) for name in self._chunks[1:]), rows]
         self._chunks = [name for name, end in zip(self._chunks, ends, strict=False) if end > rows - capacity]

@@ -23,6 +23,8 @@ BETA1, BETA2 = 0.9, 0.999
 """Adam's, as everywhere."""
 ALPHA = 0.99
 """RMSprop's, PyTorch's and Stable-Baselines3's default."""
+AHEAD = 1_024
+"""Steps whose rates are worked out at once."""
 LARGE = 2**20
 """Bytes of an agent's weights, moments and targets, from which agents learn in turn on a CPU.
 
@@ -30,8 +32,8 @@ An agent's minibatches then find these in the caches, which a step of all agents
 """
 
 
-Read = Callable[[TensorDictBase], TensorDictBase]
-"""Makes of a minibatch what a loss is given; a part of the step, compiled with it."""
+Read = Callable[..., TensorDictBase]
+"""Makes of a minibatch, and of tensors where these are in, what a loss is given; compiled with the step."""
 
 
 class Adam(NamedTuple):
@@ -94,6 +96,7 @@ class Learner:
         compile: run all minibatches of a call as one compiled graph.
         tau: the share of the way to its parameter that a target goes after each step.
         read: makes of a minibatch what the loss is given, as a part of the step.
+        memory: what `read` is given too; whoever owns it writes it between two calls.
     """
 
     def __init__(
@@ -106,8 +109,9 @@ class Learner:
         compile: bool,
         tau: float = 0.0,
         read: Read = lambda batch: batch.clone(False),
+        memory: Sequence[Tensor] = (),
     ) -> None:
-        self.loss, self.optimiser, self.read = loss, optimiser, read
+        self.loss, self.optimiser, self.read, self.memory = loss, optimiser, read, memory
         self.names = (*losses, "grad_norm")
         self.max_grad_norm = math.inf if max_grad_norm is None else max_grad_norm
         self.compile, self.tau = compile, tau
@@ -127,7 +131,8 @@ class Learner:
         }
         followers = {"targets": targets} if targets else {}
         self.state = TensorDict({"params": self.params, "moments": zeros, **followers}, agents)
-        self.steps = torch.zeros((), dtype=torch.float64, device=next(iter(params.values())).device)
+        self.steps = 0
+        self._ahead = 0, torch.empty(0)  # steps that were done, and the rates of those that follow
         self._run: Callable[[TensorDictBase], Tensor] | None = None  # compiled at the first call
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
@@ -148,18 +153,18 @@ class Learner:
         norm, [A].
         """
         with torch.no_grad():
-            found, following = self._update(self._rates(1)[0], self.state, batch)
+            found, following = self._update(self._rates(1)[0], self.state, self.memory, batch)
             self.state.update_(following)
             self.steps += 1
         return dict(zip(self.names, found, strict=True))
 
     def _update(
-        self, rate: Tensor, state: TensorDictBase, batch: TensorDictBase
+        self, rate: Tensor, state: TensorDictBase, memory: Sequence[Tensor], batch: TensorDictBase
     ) -> tuple[Tensor, TensorDict]:
         """One step: the losses and the gradient's norm [losses + 1, A], and the next state."""
         params = state["params"]
         with torch.enable_grad():
-            found = self.loss(self.read(batch))  # DQNLoss writes its errors into what it is given
+            found = self.loss(self.read(batch, *memory))  # DQNLoss writes its errors into what it is given
             losses = torch.stack([found[name].flatten(1).mean(1) for name in self.names[:-1]])
             parts = torch.autograd.grad(losses.sum(), list(params.values()))
         norm = torch.stack([part.flatten(1).square().sum(1) for part in parts]).sum(0).sqrt()
@@ -177,9 +182,16 @@ class Learner:
         return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
 
     def _rates(self, n: int) -> Tensor:
-        """What the optimiser needs of the next n steps: [n, rates]."""
-        step = self.steps + torch.arange(1, n + 1, device=self.steps.device)
-        return self.optimiser.rates(step).to(next(iter(self.params.values())).dtype)
+        """What the optimiser needs of the next n steps: [n, rates]. Those of many steps are worked out at
+        once.
+        """
+        first, rates = self._ahead
+        if not first <= self.steps <= first + len(rates) - n:
+            first, weight = self.steps, next(iter(self.params.values()))
+            step = first + torch.arange(1, max(n, AHEAD) + 1, dtype=torch.float64, device=weight.device)
+            rates = self.optimiser.rates(step).to(weight.dtype)
+            self._ahead = first, rates
+        return rates[self.steps - first :][:n]
 
     def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
         """All updates of a call as one graph, however many there are, of all agents at once or of each in
@@ -188,25 +200,32 @@ class Learner:
         held = TensorDict({**self.state, "constants": self.constants})
         names = list(held.keys(True, True))
         keys = list(batches.keys(True, True, sort=True))  # also those of a refilled buffer: one graph
-        n_constants = len(self.constants.keys()) + (
-            0 if self.tau else len(self.state.get("targets", {}).keys())
+        n_memory = len(self.memory)
+        n_constants = (
+            n_memory
+            + len(self.constants.keys())
+            + (0 if self.tau else len(self.state.get("targets", {}).keys()))
         )
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
             given = TensorDict(dict(zip(names, tensors[: len(names)], strict=True)))
-            batch = TensorDict(dict(zip(keys, tensors[len(names) :], strict=True)), tensors[-1].shape[:2])
+            memory, leaves = tensors[len(names) :][:n_memory], tensors[len(names) + n_memory :]
+            batch = TensorDict(dict(zip(keys, leaves, strict=True)), leaves[-1].shape[:2])
             given["params"] = given["params"].apply(lambda value: value.detach().requires_grad_())
             tensors_of_loss = {**given["params"], **given.get("targets", {}), **given.get("constants", {})}
             with TensorDict(tensors_of_loss).unflatten_keys(".").to_module(self.loss):
-                found, following = self._update(rate, given, batch)
+                found, following = self._update(rate, given, memory, batch)
             return found, *following.values(True, True)
 
-        on_cpu = self.steps.device.type == "cpu"  # elsewhere the wrapper needs that device's own headers
-        loop = Loop(update, len(names) - n_constants, n_constants, cpp_wrapper=on_cpu)
+        on_cpu = (
+            next(iter(self.params.values())).device.type == "cpu"
+        )  # elsewhere the wrapper needs that device's own headers
+        loop = Loop(update, len(names) + n_memory - n_constants, n_constants, cpp_wrapper=on_cpu)
         n_agents = len(self.params)
         in_turn = on_cpu and sum(value.nbytes for value in held.values(True, True)) >= LARGE * n_agents
         turns = [slice(agent, agent + 1) for agent in range(n_agents)] if in_turn else [slice(None)]
-        states = [[*self.state[agents].values(True, True), *self.constants.values()] for agents in turns]
+        constants = [*self.constants.values(), *self.memory]
+        states = [[*self.state[agents].values(True, True), *constants] for agents in turns]
 
         def run(batches: TensorDictBase) -> Tensor:
             rates, leaves = self._rates(batches.shape[1]), [batches[key] for key in keys]
@@ -220,10 +239,10 @@ class Learner:
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, moments, targets, and how many steps there were."""
-        return {"state": self.state.detach().clone().to_dict(), "steps": self.steps.clone()}
+        return {"state": self.state.detach().clone().to_dict(), "steps": torch.tensor(float(self.steps))}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Write in place what `state_dict` returned, so that the networks elsewhere follow."""
         with torch.no_grad():
             self.state.update_(TensorDict(state_dict["state"], self.params.shape))
-            self.steps.copy_(state_dict["steps"])
+        self.steps = int(state_dict["steps"])

@@ -10,8 +10,11 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 import uavnav
+from uavnav.acting import Actor
 from uavnav.envs import env as torchrl_env
+from uavnav.networks import mlp
 from uavnav.tasks import layouts
+from uavnav.tasks.seeding import stream
 
 COUNTS = ("steps", "stops", "full_stops", "turns", "distance")
 STRAIGHT = 9  # no turn, 9 px
@@ -441,6 +444,48 @@ def test_50_compiled_steps_equal_the_eager_ones(all_layouts):
         compiled,
         actions,
     )
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"max_steps": 20},
+        {"task": "goal", "stack": 2, "max_steps": 30},
+        {"faults": {"noise": 5.0, "late": 2, "sticky": 0.2}, "world": uavnav.World(start_heading="random")},
+    ],
+    ids=["paper", "goal", "faults"],
+)
+def test_32_steps_as_one_graph_are_those_of_32_calls_and_the_next_batch_goes_on_from_there(how):
+    """Batches [2, 3, 32] of `rollout` and of the collector, leaf by leaf and bit by bit."""
+    found = []
+    for whole in (True, False):
+        env = uavnav.DroneEnv([2, 3], seeds=[1, 2], **how).compile()
+        network = mlp(
+            [env.task.observation_size, 16, 100], "tanh", [stream(0, "w"), stream(1, "w")], "default"
+        )
+        actor = Actor(network, [1, 2], "categorical", "direct", compile=True)
+        batches = []
+        if whole:
+            batches.append(env.rollout(32, actor, break_when_any_done=False))
+            batches.append(env.steps(actor, 32))
+        else:
+            now, steps = env.reset(), []
+            for _ in range(64):
+                step, now = env.step_and_maybe_reset(actor(now))
+                steps.append(step)
+            batches = [torch.stack(part, 2) for part in (steps[:32], steps[32:])]
+        found.append((batches, env.state_dict()))
+    (together, state), (one_by_one, other) = found
+    for batch, same in zip(together, one_by_one, strict=True):
+        assert batch.shape == (2, 3, 32)
+        assert {*batch.keys(True, True)} == {*same.keys(True, True)}
+        for key, leaf in same.items(True, True):
+            assert batch[key].dtype == leaf.dtype
+            assert torch.equal(batch[key], leaf), key
+    assert together[0]["next", "done"].sum() > 3
+    for name, field in other["state"].items():
+        assert torch.equal(state["state"][name], field)
 
 
 def test_without_tensordicts_private_constructor_50_steps_are_the_same(all_layouts, monkeypatch):

@@ -2,6 +2,7 @@
 was asked.
 """
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -171,6 +172,41 @@ def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compi
     (found,) = graph.Loop(descend, 1, 1)(rates, weight, target, batches)
     torch.testing.assert_close(weight, expected)
     torch.testing.assert_close(found, torch.stack(losses).mean(0))
+
+
+TABLE = torch.tensor([2.0, 3.0, 5.0])
+
+
+def wander(place, total, move, scale):
+    """A place on a ring of three moves on; what it passes is summed up. Its outputs are an input twice."""
+    there = (place + move) % 3
+    return there, total + scale * TABLE[there], place, place, total * move
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("missing", [None, "scan_op", "standalone_compile"])
+def test_six_steps_as_a_graph_are_those_of_a_slow_loop_also_where_there_is_no_scan(missing, monkeypatch):
+    if missing:
+        monkeypatch.setattr(graph, missing, None)
+    moves, scale = torch.tensor([[1, 2], [2, 2], [0, 1], [1, 1], [1, 0], [2, 1]]), torch.tensor(10.0)
+    state, expected = (torch.tensor([0, 1]), torch.zeros(2)), []
+    scan = graph.Scan(wander, 2, 1, time=1)
+    with (
+        contextlib.nullcontext() if missing is None else pytest.warns(UserWarning, match="one by one, slower")
+    ):
+        found = [scan(*state, moves, scale) for _ in range(2)][1]
+    for move in moves:
+        *state, first, second, third = wander(*state, move, scale)
+        expected.append((first, second, third))
+    assert all(torch.equal(one, other) for one, other in zip(found[:2], state, strict=True))
+    for rows, column in zip(found[2:], zip(*expected, strict=True), strict=True):
+        assert torch.equal(rows, torch.stack(column, 1))
+
+
+@pytest.mark.compiled
+def test_a_step_that_asks_for_values_is_refused_by_a_scan_too():
+    with pytest.raises(ConfigError, match="no graph can be made"):
+        graph.Scan(lambda x, y: (x + float(y), x * y), 1, 1)(torch.ones(()), torch.ones(3))
 
 
 @pytest.mark.compiled

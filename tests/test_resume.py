@@ -16,8 +16,7 @@ import torch
 import yaml
 from runs_by_hand import same
 from safetensors.torch import load, save
-from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavnav import files
 from uavnav.algorithms import dqn, ppo
@@ -502,22 +501,21 @@ def test_chunks_that_hold_no_row_of_the_ring_any_more_are_deleted(tmp_path):
     """A ring of 100 rows, saved after 100, 200, ... 1,000: the last two states need two chunks of a
     hundred rows.
     """
-    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=1)
+    replay = ReplayBuffer(storage=LazyTensorStorage(100))
     saved = checkpoints.Checkpoints(tmp_path / "checkpoint", {})
     for frames in range(100, 1001, 100):
-        rows = torch.arange(frames - 100, frames)
-        replay.extend(TensorDict({"action": rows}, batch_size=100))
+        replay.extend(torch.arange(frames - 100.0, frames)[:, None, None])
         saved.save(frames, {"n": torch.tensor(frames)}, {"frames": frames}, replay)
     kept = sorted(int(path.name.split("-")[1]) for path in (tmp_path / "checkpoint").glob("replay-*"))
     assert kept == [800, 900]
     for damaged in (False, True):
         if damaged:
             flip(sorted((tmp_path / "checkpoint").glob("state-*"))[-1])
-        again = TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=1)
+        again = ReplayBuffer(storage=LazyTensorStorage(100))
         with warnings.catch_warnings(action="ignore"):
             frames = checkpoints.Checkpoints(tmp_path / "checkpoint", {}).load(again).facts["frames"]
         assert frames == 1000 - 100 * damaged
-        assert again[:]["action"].tolist() == [*range(frames - 100, frames)]
+        assert again[:].flatten().tolist() == [*range(frames - 100, frames)]
 
 
 def test_a_ring_written_in_many_small_chunks_and_overwritten_between_snapshots_is_refilled_as_it_was(

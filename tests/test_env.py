@@ -483,7 +483,7 @@ def test_32_steps_as_one_graph_are_those_of_32_calls_and_the_next_batch_goes_on_
         for key, leaf in same.items(True, True):
             assert batch[key].dtype == leaf.dtype
             assert torch.equal(batch[key], leaf), key
-    assert together[0]["next", "done"].sum() > 3
+    assert together[0]["next", "done"].any()
     for name, field in other["state"].items():
         assert torch.equal(state["state"][name], field)
 

@@ -255,7 +255,7 @@ def _apart(step: Function) -> Function:
 
 def _lifted(traced: fx.GraphModule) -> tuple[fx.GraphModule, Tensors]:
     """The same trace with the tensors that its function closes over as further arguments, and these."""
-    calls, frozen = traced.graph, {}
+    calls, frozen = traced.graph, dict[str, fx.Node]()
     last = calls.find_nodes(op="placeholder")[-1]
     for node in calls.find_nodes(op="get_attr"):
         if node.target not in frozen:

@@ -162,15 +162,16 @@ class Replay:
         of M minibatches of N, which `read` looks up.
         """
         (rows, agents), _ = self.sampler.sample(self.storage, n_batches * batch_size)
-        places = (rows * len(agents) + agents).movedim(0, 2).unflatten(1, (n_batches, batch_size))
+        places = (rows * len(agents) + agents).movedim(0, 2)
+        places = places.reshape(len(agents), n_batches, batch_size, -1)
         return TensorDict._new_unsafe({"places": places}, places.shape[:2])
 
     def read(self, batch: TensorDictBase, ring: Tensor) -> TensorDict:
         """The transitions [..., N] at places that were drawn, for a loss; compiled with it."""
         places = batch["places"]
-        rows = ring.flatten(0, 1).index_select(0, places.flatten()).unflatten(0, places.shape)
+        rows = ring.flatten(0, 1).index_select(0, places.flatten()).reshape(*places.shape, -1)
         sizes = [self.size, 1, 1, 1, 1, self.size * self.keeps_next]
-        observation, action, *flags, after = rows.split(sizes, -1)
+        observation, action, *flags, after = torch.split(rows, sizes, -1)
         reward, done, terminated = flags[0], flags[1] > 0, flags[2] > 0
         following = {
             "reward": reward[..., 0, :],
@@ -203,12 +204,13 @@ class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
     @property
     def ring(self) -> Tensor:
         """All rows [capacity, A, F], also those that nothing was written into yet."""
-        return self._storage
+        ring: Tensor = self._storage
+        return ring
 
     def put(self, index: Tensor, rows: Tensor) -> None:
         """As `set`, without what it does for other kinds of data."""
         self._storage[index] = rows
-        self._len = min(self._len + len(rows), self.max_size)
+        self._len: int = min(len(self) + len(rows), self.max_size)
 
 
 class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
@@ -219,10 +221,11 @@ class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
 
     def extend(self, data: Tensor) -> Tensor:
         """Write rows behind the newest ones; where they lie now."""
-        capacity, first = self._storage.max_size, self._cursor
-        index = torch.arange(first, first + len(data), device=data.device) % capacity
+        capacity, n = self._storage.max_size, len(data)
+        index: Tensor = torch.arange(self._cursor, self._cursor + n, device=data.device) % capacity
         self._storage.put(index, data)
-        self._cursor, self._write_count = (first + len(data)) % capacity, self._write_count + len(data)
+        self._cursor: int = (self._cursor + n) % capacity
+        self._write_count: int = self._write_count + n
         return index
 
 

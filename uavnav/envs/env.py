@@ -127,7 +127,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self.task = whole.replace(layouts=whole.layouts.to(self.device))
         self.world, self.layouts = self.task.world, self.task.layouts
         self._first = self._sense_starts()
-        self._scans: dict[Actor, Scan] | None = None
+        self.compiled, self._scans = False, dict[Actor, Scan]()
         self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
         self._make_specs()
         self._seed(seeds)
@@ -269,18 +269,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
         The task is then that of the first step.
         """
-        self._advance, self._scans = Graph(self._advance_rows), {}
+        self._advance, self.compiled, self._scans = Graph(self._advance_rows), True, {}
         return self
 
     def eager(self) -> DroneEnv:
         """Undo `compile`."""
-        self._advance, self._scans = self._advance_rows, None
+        self._advance, self.compiled = self._advance_rows, False
         return self
-
-    @property
-    def compiled(self) -> bool:
-        """Whether its steps are compiled graphs."""
-        return self._scans is not None
 
     def rollout(self, max_steps: int, policy: Any = None, *args: Any, **how: Any) -> TensorDictBase:
         """TorchRL's; steps of an `Actor` that no episode's end breaks are one graph where the environment is

@@ -103,11 +103,9 @@ class Chance:
         """
         if not self._task.n_draws and self._task.world.start_heading == "up":
             return self.headings().expand(n, -1, -1), None, None
-        drawn = [(self.step(), *self.start()) for _ in range(n)]
-        later, headings, first = (
-            None if each[0] is None else torch.stack(each) for each in zip(*drawn, strict=True)
-        )
-        return headings, first, later
+        later, starts = zip(*[(self.step(), self.start()) for _ in range(n)], strict=True)
+        headings, first = zip(*starts, strict=True)
+        return torch.stack(headings), _stacked(first), _stacked(later)
 
     def _drawn(self, purpose: str) -> Tensor | None:
         if purpose not in self._streams:
@@ -134,3 +132,9 @@ class Chance:
             self._starts = None
         else:
             self._starts = headings.to(self._device), None if draws is None else draws.to(self._device)
+
+
+def _stacked(draws: Sequence[Tensor | None]) -> Tensor | None:
+    """The draws of some steps as one; None where they need none."""
+    some = [one for one in draws if one is not None]
+    return torch.stack(some) if some else None

@@ -63,7 +63,7 @@ class TrainConfig(Settings):
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
-    preset: str = key("vectorised", "which table of settings to start from")
+    preset: str = key("paper", "which table of settings to start from")
     activation: Annotated[str, AfterValidator(OneOf(ACTIVATIONS))] = key("tanh", "of the hidden layers")
     seed: Whole = key(0, "the first of the seeds", ge=0, le=2**31 - 1)
     n_seeds: Count = key(1, "trained in parallel; their seeds count from the first", "agents")

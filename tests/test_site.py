@@ -231,8 +231,9 @@ TINY = {
     "train sac": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "20"],
     "render": ["--steps", "20"],
+    "study": ["--status"],
 }
-"""What is added to a line, so that it takes a second or two."""
+"""What is added to a line, so that it takes a second or two; a study only says what it would train."""
 
 
 @pytest.fixture
@@ -273,18 +274,21 @@ def untrained_zip(path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("page", sorted({page for page, _ in COMMANDS}))
-def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_path, capfd):
+def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_path, monkeypatch, capfd):
     for name in ("av", "onnxscript", "tensorboard"):
         pytest.importorskip(name)
-    if any("theirs.zip" in command for where, command in COMMANDS if where == page):
-        untrained_zip(tmp_path / "theirs.zip")
     lines = [command for where, command in COMMANDS if where == page]
+    if any("theirs.zip" in command for command in lines):
+        untrained_zip(tmp_path / "theirs.zip")
+    if any("my_activation" in command for command in lines):
+        (tmp_path / "my_activation.py").write_text(blocks(ALL[page], "python")[0])
+        monkeypatch.setitem(networks.ACTIVATIONS, "cube", torch.sign)  # taken back at the end
     for command in lines:
         targets = command.startswith("make ") and command != "make train"  # hours, minutes, or this suite
         if not targets and command not in EXEMPT:
             assert carry_out(command) == 0, command
             assert "arning" not in capfd.readouterr().err, command
-            for named in re.findall(r"(?:--out |\bout=)([^\s$]+)", command):
+            for named in re.findall(r"(?:--out |\bout=)([^\s$]+)", command) * ("uavnav study" not in command):
                 assert (tmp_path / named).exists(), command
 
 

@@ -92,7 +92,7 @@ def _shown(output: dict[str, Any]) -> str:
             return f"![What the cell above shows](data:{kind};base64,{picture})"
     if "text/html" in data:
         return OF_PANDAS.sub("", "".join(data["text/html"])).replace("\n", " ")
-    return f"```text\n{''.join(data['text/plain']).strip()}\n```"
+    return f"```text\n{''.join(data['text/plain']).strip(chr(10))}\n```"
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:

@@ -143,6 +143,10 @@ def test_every_equation_is_mathml(site):
         assert not re.search(r"<mi>(&amp;|&<|\\)", page), f"{name}: TeX that latex2mathml does not know"
 
 
+def test_a_list_that_a_sentence_interrupts_goes_on_at_its_number(site):
+    assert [f'<ol start="{first}"' in site["sac.html"] for first in (10, 13, 14)] == [True, True, False]
+
+
 def test_links_to_files_that_are_no_pages_are_their_paths(site):
     assert "uavnav/tasks/world.py</code>" in site["environment.html"]
     assert not [
@@ -173,6 +177,7 @@ def test_the_hook_tells_of_a_file_that_is_missing(monkeypatch):
     assert shown("see [PPO](../docs/ppo.md)") == "see [PPO](../docs/ppo.md)"
     assert shown("by [5 (4 to 6)](../results/tables/gaps.csv#L2) less") == "by 5 (4 to 6) less"
     assert shown("see [the\nmodule](../uavnav/graph.py)") == "see the\nmodule (`uavnav/graph.py`)"
+    assert shown("[a](../results/report.html#verdicts)") == "[a](report/report.html#verdicts)"
     assert shown("[a part](../results/report.md#why)") == "a part (`results/report.md`)"
     assert not told
     shown("see [nothing](../uavnav/nothing.py)")

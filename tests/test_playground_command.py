@@ -185,7 +185,7 @@ def test_a_file_to_keep_that_is_none_of_the_pages_is_one_line_and_nothing_is_kep
             lambda root: write_policies(root / "run").joinpath("policy.safetensors").write_bytes(b"no"),
             "not a readable policy",
         ),
-        (lambda root: write_policies(root / "run", world={"slots": "listed"}), "trained in another world"),
+        (lambda root: write_policies(root / "run", world={"slots": "listed"}), "trained in another task"),
     ],
 )
 def test_what_is_no_folder_of_policies_is_one_line_and_no_page(make, line, tmp_path, capsys):

@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines policies report docs help layouts picture clean
+.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines policies report docs help notebooks layouts picture clean
 
 train: .venv/.installed
 	@echo "PPO with ReLU, 1,000,000 frames: one or two minutes, as the bar tells"
@@ -14,7 +14,7 @@ train: .venv/.installed
 test: .venv/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy & $(BIN)/pytest -n 3 --dist worksteal -m "" && wait $$! # beside the tests' first minute
+	$(BIN)/mypy & $(BIN)/pytest -n 3 --dist worksteal -m "" && wait $$! # in parallel with the tests' first minute
 
 .venv/.installed: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -52,6 +52,9 @@ docs: .venv/.installed-dev # the site, in build/site
 help: .venv/.installed # the help of each algorithm, and the tables of commands and settings in the docs
 	$(BIN)/python -m uavnav.cli.help
 	$(BIN)/python docs/tables.py
+
+notebooks: .venv/.installed-dev # the outputs that are kept in them
+	$(BIN)/python docs/outputs.py
 
 layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/splits

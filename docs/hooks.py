@@ -36,18 +36,20 @@ LINK = re.compile(r"(?<!!)\[([^][]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
 
 
 REPORT, FIRST = "report/", "<!-- first -->"
-"""Where the report lies on the site, and where a page shows its first screen."""
+"""Where the report is on the site, and where a page shows its first screen."""
 PARTS = ("report.html", "preview.png", "figures/*.png", "tables/*.csv")
-"""What of a folder of results the site holds."""
-OF_REPORT = re.compile(r"\]\(\.\./results/(report\.html|figures/[\w-]+\.png)\)")
+"""What the site contains of a folder of results."""
+OF_REPORT = re.compile(r"\]\(\.\./results/(report\.html(?:#[\w-]+)?|figures/[\w-]+\.png)\)")
 ROW = re.compile(r"\]\(\.\./results/tables/(\w+)\.csv(?:#L(\d+))?\)")
 """A number that stands in a table: a row of the report's page, where it has that row."""
+OF_PANDAS = re.compile(r"<style.*?</style>|(?<=<table)[^>]*", re.DOTALL)
+"""The looks that pandas gives a table, which has those of the page."""
 FLY, FLIES = "fly.html", "<!-- fly -->"
 """The playground's page on the site, and where a page says so."""
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Beside each notebook a page of its words and its code, without outputs; the playground of the
+    """Add a page of its words, code and outputs for each notebook, and the playground of the
     study's runs.
     """
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
@@ -72,11 +74,25 @@ def flown(folder: Path) -> str:
 
 
 def page_of(notebook: Path) -> str:
-    """A notebook's cells as Markdown."""
-    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
-    texts = [("".join(cell["source"]), cell["cell_type"]) for cell in cells]
-    words = [f"```python\n{text}\n```" if kind == "code" else text for text, kind in texts]
-    return "\n\n".join([*words, f"To run it: `docs/notebooks/{notebook.name}`, with Jupyter.", ""])
+    """A notebook's cells, and what they print and show, as Markdown."""
+    parts = []
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        parts.append(f"```python\n{text}\n```" if cell["cell_type"] == "code" else text)
+        parts += map(_shown, cell.get("outputs", []))
+    return "\n\n".join([*parts, f"To run it: `docs/notebooks/{notebook.name}`, with Jupyter.", ""])
+
+
+def _shown(output: dict[str, Any]) -> str:
+    """An output of a cell: a picture within the page, a table, or text."""
+    data = output.get("data", {"text/plain": output.get("text", "")})
+    for kind in data:
+        if kind.startswith("image/"):
+            picture = "".join(data[kind]).replace("\n", "")
+            return f"![What the cell above shows](data:{kind};base64,{picture})"
+    if "text/html" in data:
+        return OF_PANDAS.sub("", "".join(data["text/html"])).replace("\n", " ")
+    return f"```text\n{''.join(data['text/plain']).strip(chr(10))}\n```"
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:

@@ -30,23 +30,28 @@ def command_table() -> str:
 
 
 def settings_table(kinds: Configs) -> str:
-    """The settings in which algorithms or their preset `fast` differ, a column an algorithm; then the
-    others.
+    """The settings in which algorithms or their preset `fast` differ, a column an algorithm; then those of
+    one algorithm, and those that are the same in all.
     """
     defaults = {name: {line.name: line.default for line in lines(kind)} for name, kind in kinds.items()}
     every = dict.fromkeys(key for own in defaults.values() for key in own)
     rows, same = [f"| key | {' | '.join(map(str.upper, kinds))} |", f"|---|{'---|' * len(kinds)}"], []
+    own: dict[str, list[str]] = {}
     for key in every:
-        cells = [_cell(defaults[name].get(key), kind, key) for name, kind in kinds.items()]
-        if len(set(cells)) > 1:
-            rows.append(f"| `{key}` | {' | '.join(cells)} |")
+        cells = {name: _cell(defaults[name].get(key), kind, key) for name, kind in kinds.items()}
+        (owner, *others), known = [name for name in kinds if cells[name]], set(cells.values())
+        if not others:
+            own.setdefault(owner, []).append(f"`{key}={cells[owner]}`")
+        elif len(known) > 1:
+            rows.append(f"| `{key}` | {' | '.join(cells.values())} |")
         else:
-            same.append(f"`{key}={defaults[next(iter(kinds))][key]}`")
-    return "\n".join([*rows, "", f"The same in all: {', '.join(same)}."])
+            same.append(f"`{key}={defaults[owner][key]}`")
+    only = [f"- Only {name.upper()}: {', '.join(own[name])}." for name in kinds if name in own]
+    return "\n".join([*rows, "", *only, "", f"The same in all: {', '.join(same)}."])
 
 
 def preset_table(kinds: Configs) -> str:
-    """The presets beside the default and `fast`, and what each sets."""
+    """The presets other than the default and `fast`, and what each sets."""
     rows = ["| preset | of | sets |", "|---|---|---|"]
     sets: dict[tuple[str, str], list[str]] = {}
     for name, kind in kinds.items():

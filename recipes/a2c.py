@@ -1,4 +1,4 @@
-"""Train A2C on the drone's world and compare it with the paper: the same as `uavnav train a2c`.
+"""Train A2C to fly the drone and compare it with the paper: the same as `uavnav train a2c`.
 
     python recipes/a2c.py activation=tanh
     python recipes/a2c.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu

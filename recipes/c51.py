@@ -1,4 +1,4 @@
-"""Train C51 on the drone's world and compare it with the paper: the same as `uavnav train c51`.
+"""Train C51 to fly the drone and compare it with the paper: the same as `uavnav train c51`.
 
     python recipes/c51.py activation=relu preset=fast
     python recipes/c51.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu

@@ -1,4 +1,4 @@
-"""Train DQN on the drone's world and compare it with the paper: `uavnav train dqn` as one page, to read and
+"""Train DQN to fly the drone and compare it with the paper: `uavnav train dqn` as one page, to read and
 to change.
 
     python recipes/dqn.py activation=sigmoid

@@ -1,4 +1,4 @@
-"""Train PPO on the drone's world and compare it with the paper: `uavnav train ppo` as one page, to read and
+"""Train PPO to fly the drone and compare it with the paper: `uavnav train ppo` as one page, to read and
 to change.
 
     python recipes/ppo.py activation=relu

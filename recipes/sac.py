@@ -1,4 +1,4 @@
-"""Train SAC on the drone's world and compare it with the paper: the same as `uavnav train sac`.
+"""Train SAC to fly the drone and compare it with the paper: the same as `uavnav train sac`.
 
     python recipes/sac.py activation=tanh
     python recipes/sac.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu

@@ -79,7 +79,7 @@ def flown(path, seed, n_layouts):
             total[layout] += reward
             note(layout, seen[layout])
             if collided or capped:
-                ended[layout] = "collision" if collided else "cut off"
+                ended[layout] = "collision" if collided else "truncated"
                 del seen[layout]
     return {
         place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in range(n_layouts)

@@ -142,10 +142,10 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
     )
     fly(["density", "sticky"], tell=told.append)
     fit = "arc, reach, speed, noise, lost, late, sticky fit"
-    assert told == [f"left out: the ladder density, which the world of mine does not have; {fit}"]
+    assert told == [f"left out: the ladder density, which the task of mine does not have; {fit}"]
     assert [path.name for path in tmp_path.glob("*.svg")] == ["across-sticky-1-2.svg"]
     with pytest.raises(
-        RunError, match="--across density: no ladder of these worlds; give some of arc, reach, s"
+        RunError, match="--across density: no ladder of these tasks; give some of arc, reach, s"
     ):
         fly(["density"], tell=told.append)
 
@@ -171,7 +171,7 @@ def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
     words = ["evaluate", "straight", "--task", "space", "--across", "sticky", "density", "--episodes", "2"]
     assert main([*words, "--max-steps", "5", "--json", "--out", str(tmp_path / "new" / "folder")]) == 0
     printed, err = capsys.readouterr()
-    assert err.startswith("left out: the ladder density, which the world of straight")
+    assert err.startswith("left out: the ladder density, which the task of straight")
     told = json.loads(printed)
     assert {one["ladder"] for one in told} == {"sticky"}
     assert {(one["over"], one["n"]) for one in told} == {("episodes", 2)}  # of one seed
@@ -246,7 +246,7 @@ def test_a_ladder_says_first_that_2_episodes_are_a_sketch_and_how_long_it_will_t
     out, err = capsys.readouterr()
     assert "95 % intervals over 2 episodes, a sketch" in " ".join(out.split())
     sketch, long = err.splitlines()
-    assert sketch == "2 episodes a rung are a sketch; give 20 or more for intervals that hold"
+    assert sketch == "2 episodes a rung are a sketch; give 20 or more for intervals to trust"
     assert re.fullmatch(r"about \d+ s more, as the first rung took: 24 episodes on 4 rungs", long)
 
 
@@ -290,4 +290,4 @@ def test_alone_a_run_flies_as_in_training_with_no_script_beside_and_no_figure(ru
     beside = pd.read_parquet(run.path / "across-sticky-2-9.parquet")
     pd.testing.assert_frame_equal(alone, beside[beside["mode"] == "sampled"].reset_index(drop=True))
     assert main(["evaluate", str(run.path), "--alone"]) == 2
-    assert capsys.readouterr().err.endswith("--alone: only --across flies others beside; leave it out\n")
+    assert capsys.readouterr().err.endswith("--alone: only --across adds scripted policies; leave it out\n")

@@ -300,10 +300,10 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
     ):
         load_policy(path, activation="Tanh")
     with pytest.raises(
-        PolicyError, match="seed=3; a zip of Stable-Baselines3 holds one policy: give no seed"
+        PolicyError, match="seed=3; a zip of Stable-Baselines3 contains one policy: give no seed"
     ):
         load_policy(path, seed=3, activation="tanh")
-    with pytest.raises(PolicyError, match=r"activation=tanh; a run knows its own: give it for a \.zip alone"):
+    with pytest.raises(PolicyError, match=r"activation=tanh; a run knows its own: give it only for a \.zip"):
         load_policy(tmp_path, activation="tanh")
 
 

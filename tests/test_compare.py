@@ -115,7 +115,7 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
         made_up("slow", [1.0], task="moving", speed_max=2.0),
     )
     assert apart([ABOVE, BELOW]) == apart([fast, fast]) == ""
-    end = "flew in different worlds, so their rewards are not of one measure"
+    end = "flew in different tasks, so their rewards are not of one measure"
     assert apart([fast, slow]) == f"fast (speed_max=6.0) and slow (speed_max=2.0) {end}"
     monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE, BELOW, fast])
     assert main(["one", "other", "--json", "--out", str(tmp_path / "page.html")]) == 0

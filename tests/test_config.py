@@ -266,7 +266,7 @@ def test_keys_with_a_dot_are_fields_of_a_part_beside_those_that_are_given_whole(
     with pytest.raises(ConfigError, match="world=flat; give fields of the world"):
         PPOConfig.from_mapping({"world": "flat", "world.sensor_arc": 90})
     with pytest.raises(
-        ConfigError, match=r"there is no key 'world\.sensor_arc' beside world=World; give one of them"
+        ConfigError, match=r"there is no key 'world\.sensor_arc' with world=World; give one of them"
     ):
         PPOConfig.from_mapping({"world": World(), "world.sensor_arc": 90})
 

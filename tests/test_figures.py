@@ -365,7 +365,7 @@ def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
     assert len(first.collections[0].get_paths()) == 2
     assert first.get_aspect() == 1.0
     assert drawn.alt == (
-        "Paths flown, greedy, and their steps on layouts 0, 2: "
+        "Paths of drones, greedy, and their steps on layouts 0, 2: "
         "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 no crash, 5 no crash."
     )
 

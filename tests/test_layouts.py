@@ -136,7 +136,7 @@ def test_the_command_writes_one_split_of_a_split_and_a_seed(tmp_path, capsys):
     assert torch.equal(all_layouts, layouts.generate(5, 8, seed=9))
     assert (header["split"], header["generator_seed"]) == ("validation", "9")
     capsys.readouterr()
-    assert "or all splits would hold the same layouts" in refused_in_one_line(["--seed", "3"], capsys)
+    assert "or all splits would have the same layouts" in refused_in_one_line(["--seed", "3"], capsys)
 
 
 def refused_in_one_line(arguments, capsys):

@@ -225,7 +225,7 @@ def test_a_replay_plays_pauses_by_space_and_its_end_says_what_happened(browser, 
     scrub(browser, slider, max(last - 20, 0))
     one(browser, ".replay [aria-label=play]").click()
     wait(browser, lambda: value(slider) == last, 30)
-    wait(browser, lambda: status.text.endswith(("collision", "cut off")))
+    wait(browser, lambda: status.text.endswith(("collision", "truncated")))
 
 
 def test_a_replay_scrubs_and_the_picture_and_the_words_follow(browser, player):

@@ -50,7 +50,8 @@ def test_a_setting_shows_each_algorithms_default_and_what_fast_sets_instead():
         row[0]: row[1:] for row in table(ALL["docs/algorithms.md"], "| key | PPO | DQN | A2C | C51 | SAC |")
     }
     assert rows["`lr`"] == ["0.0003→0.001", "0.0001→0.00025", "0.0007→0.00086", "0.00025", "0.0003→0.0023"]
-    assert rows["`tau`"] == ["", "", "", "", "0.005→0.0037"]
+    assert rows["`double`"] == ["", "false→true", "", "false→true", ""]
+    assert "\n- Only SAC: `tau=0.005→0.0037`, " in ALL["docs/algorithms.md"]
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])

@@ -73,14 +73,14 @@ def test_a_policy_of_another_world_or_in_3d_is_left_out_in_a_line_and_refused_wh
     assert status == 0
     assert out.endswith(": policies: 1; open it in a browser\n")
     watch = f"watch it: uavnav render {tmp_path / 'there'} --out flight.gif"
-    why = "trained in another world than the playground's"
+    why = "trained in another task than the playground's"
     line = f"{tmp_path / 'there'}: {why}; {watch}\n"
     assert err == f"uavnav playground: left out: {line}"
     assert main(["play", str(tmp_path / "there")]) == 2
     assert capsys.readouterr() == ("", f"uavnav play: {line}")
     assert main(["play", "--task", "space"]) == 2
     assert capsys.readouterr().err == (
-        "uavnav play: --task space: the playground has no such world; "
+        "uavnav play: --task space: the playground has no such task; "
         "watch it: uavnav render reactive --task space --out flight.gif\n"
     )
 
@@ -98,7 +98,7 @@ def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_o
     assert [one["key"].split("-")[-4] for one in found] == ["late", "moving"]
     assert found[1]["title"].startswith("PPO tanh, seed 0 with moving obstacles (")
     assert [line.split(": ", 1)[1].split("; watch it")[0] for line in left_out] == [
-        "trained in another world than the playground's",
+        "trained in another task than the playground's",
         "the playground has no stack '4'; it has 1",
     ]
 
@@ -176,7 +176,7 @@ def test_a_file_to_keep_that_is_none_of_the_pages_is_one_line_and_nothing_is_kep
     ("make", "line"),
     [
         (lambda root: None, "no policy.safetensors there; give the folder of a finished run"),
-        (lambda root: root.mkdir(), "holds no run; give a folder that does"),
+        (lambda root: root.mkdir(), "contains no run; give a folder that does"),
         (
             lambda root: write_policies(root / "run").joinpath("policy.safetensors").unlink(),
             "no policy there; give a finished run's folder",
@@ -185,7 +185,7 @@ def test_a_file_to_keep_that_is_none_of_the_pages_is_one_line_and_nothing_is_kep
             lambda root: write_policies(root / "run").joinpath("policy.safetensors").write_bytes(b"no"),
             "not a readable policy",
         ),
-        (lambda root: write_policies(root / "run", world={"slots": "listed"}), "trained in another world"),
+        (lambda root: write_policies(root / "run", world={"slots": "listed"}), "trained in another task"),
     ],
 )
 def test_what_is_no_folder_of_policies_is_one_line_and_no_page(make, line, tmp_path, capsys):

@@ -131,7 +131,7 @@ def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monke
     [
         ("reinforce", "algorithm=reinforce; "),
         ("ppo activation=hs", "activation"),
-        ("ppo", "out={}: holds a run with task=narrow; give another folder"),
+        ("ppo", "out={}: contains a run with task=narrow; give another folder"),
     ],
 )
 def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(
@@ -265,7 +265,7 @@ def test_the_file_of_a_studys_job_has_nothing_imported_either(bomb, monkeypatch)
     job = bomb.with_name("seeds.job")
     job.write_text(json.dumps(told | {"out": str(bomb), "folder": str(bomb.parent)}))
     worker.main(["uavnav.algorithms.ppo:PPOConfig", str(job)])
-    assert "holds a run with algorithm=bomb" in json.loads(job.with_suffix(".ended").read_text())["error"]
+    assert "contains a run with algorithm=bomb" in json.loads(job.with_suffix(".ended").read_text())["error"]
 
 
 def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):

@@ -226,7 +226,7 @@ def test_train_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_
     )
     assert told.stdout.startswith("usage: uavnav train mine ")
     assert re.search(r"\n  activation=tanh .*, sine, ", told.stdout)
-    assert re.search(r"\n  n_steps=5 +\[steps\] of every world in a rollout", told.stdout)
+    assert re.search(r"\n  n_steps=5 +\[steps\] of every environment in a rollout", told.stdout)
 
 
 @pytest.mark.usefixtures("warm")

@@ -53,7 +53,7 @@ def test_poses_are_within_half_tenth_of_pixel_of_slow_episode_and_values_within_
             as_flown(episode, data["fields"], poses, choices, ended)
             reasons.add(ended)
             chosen |= {*choices[:, 0]}
-    assert reasons == {"collision", "cut off"}
+    assert reasons == {"collision", "truncated"}
     assert len(chosen) > 5
 
 
@@ -79,7 +79,7 @@ def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(tmp_pa
     assert straight["ended"] == "collision"
     assert found["clearance"][-1] <= 30 < found["clearance"][-2]
     assert straight["reward"] == pytest.approx(0.09 * (straight["steps"] - 1) - 10)
-    assert (stay["ended"], stay["steps"], stay["reward"]) == ("cut off", MAX_STEPS, -0.6)
+    assert (stay["ended"], stay["steps"], stay["reward"]) == ("truncated", MAX_STEPS, -0.6)
 
 
 def test_the_player_gets_the_world_the_obstacles_and_what_each_action_does(data):
@@ -301,4 +301,4 @@ def test_the_rule_flies_as_baselines_say_it_does(data):
     for episode in data["rule"]:
         found = unpack(episode, data["fields"])
         assert set(found["action"][:, 0]) <= {STRAIGHT, 50}
-        assert (episode["ended"], episode["steps"]) == ("cut off", MAX_STEPS)
+        assert (episode["ended"], episode["steps"]) == ("truncated", MAX_STEPS)

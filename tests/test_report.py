@@ -212,7 +212,7 @@ def test_tables_where_no_run_is_are_named_and_those_of_a_report_are_not(results)
     configurations, left_out = collect([results])
     assert len(configurations) == 2
     assert left_out == [
-        f"{results / 'dqn' / 'copy.parquet'}: lies where no run is",
+        f"{results / 'dqn' / 'copy.parquet'}: is where no run is",
         f"{results / 'lost'}: has episodes.parquet and no config.yaml; not a run of this package",
     ]
 
@@ -246,7 +246,7 @@ def interrupted(*anything):
     [
         (lambda path: None, "there is no such folder; give"),
         (lambda path: path.write_text("x"), "is a file; give"),
-        (lambda path: path.mkdir(), "holds no run; give"),
+        (lambda path: path.mkdir(), "contains no run; give"),
         (
             lambda path: (path / "a").mkdir(parents=True) or (path / "a" / "config.yaml").write_text("[1"),
             "no run that",

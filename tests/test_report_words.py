@@ -226,7 +226,7 @@ def test_results_are_shorter_than_100_lines_and_leave_the_parts_of_claims_to_the
     for claim in CLAIMS[:2]:
         texts = [part.text for part in claim.asks(TRAINING)]
         assert all(one in report for one in texts)
-        assert sum(one in text for one in texts) == 1  # the one that the claim's sentence is about
+        assert not any(one in text for one in texts)
     headings = re.findall(r"^## (.*)$", text, flags=re.MULTILINE)
     assert headings == ["The paper's claims", "More"]
 

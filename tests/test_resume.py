@@ -219,7 +219,7 @@ def test_a_key_that_came_after_a_run_has_its_default_there(whole, tmp_path):
     (folder / "config.yaml").write_text(
         yaml.safe_dump({key: there[key] for key in there if key not in later})
     )
-    with pytest.raises(RunError, match="holds a run with stack=1, not 2"):
+    with pytest.raises(RunError, match="contains a run with stack=1, not 2"):
         train(config.replace(stack=2), out=folder, quiet=True)
     assert not train(config, out=folder, quiet=True).fresh
 
@@ -362,7 +362,7 @@ def test_a_snapshot_of_another_configuration_is_refused_in_one_line(whole, two_s
     train, config, _ = whole
     folder, _ = two_states
     other = type(config)(**vars(config) | {"seed": 7})
-    with pytest.raises(RunError, match="holds a run with seed=0, not 7"):
+    with pytest.raises(RunError, match="contains a run with seed=0, not 7"):
         train(other, out=folder, quiet=True)
     (folder / "config.yaml").write_text((folder / "config.yaml").read_text().replace("seed: 0", "seed: 7"))
     with warnings.catch_warnings(action="error"), pytest.raises(RunError, match="saved with seed=0, not 7"):

@@ -102,7 +102,7 @@ def test_a_folder_of_runs_names_the_first_few_in_one_line(tmp_path):
         for place in (folder, folder / "workers" / "0"):
             (place / "config.yaml").touch()
     with pytest.raises(
-        RunError, match=r"holds runs and is none; give one of .*tanh-00, .* and \d+ more$"
+        RunError, match=r"contains runs and is none; give one of .*tanh-00, .* and \d+ more$"
     ) as told:
         Run(tmp_path / "runs")
     shown = str(told.value).count("tanh-")
@@ -166,7 +166,7 @@ def test_a_finished_run_whose_policy_was_left_out_is_trained_again_to_the_same_b
     assert same(run.path, again.path)
     assert again.evaluations() == []
     (folder / POLICY).unlink()
-    with pytest.raises(RunError, match="holds a run with lr"):
+    with pytest.raises(RunError, match="contains a run with lr"):
         train(config.replace(lr=0.5), out=folder, quiet=True)
 
 
@@ -177,9 +177,9 @@ def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
     assert (written.pop("n_steps"), written.pop("dueling")) == (1, False)
     (run.path / "config.yaml").write_text(yaml.safe_dump(written))
     assert not train(config, out=run.path, quiet=True).fresh
-    with pytest.raises(RunError, match="holds a run with n_steps=1, not 3"):
+    with pytest.raises(RunError, match="contains a run with n_steps=1, not 3"):
         train(config.replace(n_steps=3), out=run.path, quiet=True)
-    with pytest.raises(RunError, match="holds a run with dueling=False, not True"):
+    with pytest.raises(RunError, match="contains a run with dueling=False, not True"):
         train(config.replace(dueling=True), out=run.path, quiet=True)
 
 
@@ -206,19 +206,19 @@ def test_a_layout_file_is_the_same_setting_by_any_path_finished_or_not_and_anoth
     with pytest.raises(Interrupted):
         train("layouts", until=128)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(RunError, match=r"holds a run with layouts=layouts, not .*/here/other"):
+    with pytest.raises(RunError, match=r"contains a run with layouts=layouts, not .*/here/other"):
         train(tmp_path / "here" / "other")
     whole = train(tmp_path / "here" / "layouts")
     assert whole.fresh
     assert whole.meta["frames"] == 256
     assert not train(tmp_path / "here" / "copy").fresh
-    with pytest.raises(RunError, match="holds a run with layouts="):
+    with pytest.raises(RunError, match="contains a run with layouts="):
         train("train")
 
 
 def test_another_configuration_is_refused_and_nothing_is_lost(trained):
     train, config, run = trained
-    with pytest.raises(RunError, match="holds a run with lr="):
+    with pytest.raises(RunError, match="contains a run with lr="):
         train(type(config)(**vars(config) | {"lr": 0.123}), out=run.path, quiet=True)
     assert same(run.path, run.path)
     assert json.loads((run.path / "meta.json").read_text())["status"] == "finished"
@@ -275,7 +275,7 @@ def test_a_default_folder_that_holds_another_run_is_left_to_it(tmp_path, monkeyp
     assert {run.path.name[:-8] for run in runs} == {f"{config.folder.name}-"}
     assert len({run.path for run in runs}) == 1
     assert Run(other.path).config["lr"] == 0.1
-    with pytest.raises(RunError, match=r"holds a run with lr=0\.1, not 0\.0003; give another folder"):
+    with pytest.raises(RunError, match=r"contains a run with lr=0\.1, not 0\.0003; give another folder"):
         ppo.train(config, other.path, quiet=True)
 
 

@@ -177,5 +177,5 @@ def test_what_is_no_run_is_one_line_and_the_others_are_listed(tmp_path, capsys, 
     shutil.rmtree(tmp_path / "runs")
     assert main(["runs"]) == 0  # the policies that ship are left
     assert main(["runs", "runs"]) == 2
-    line = "uavnav runs: runs: there is no such folder; give a folder that holds runs\n"
+    line = "uavnav runs: runs: there is no such folder; give a folder that contains runs\n"
     assert capsys.readouterr().err == line

@@ -133,7 +133,7 @@ def test_a_part_that_does_not_count_is_never_what_a_sentence_shows(numbers):
 def test_a_folder_of_a_few_runs_has_no_sentence_of_the_study(gathered, numbers):
     assert {*said(gathered).values()} == {""}
     text = page(gathered, {}, Path("results"))
-    assert "<h1>DQN against PPO, four activation functions: what holds of the paper</h1>" in text
+    assert "<h1>DQN against PPO, four activation functions: what replicates of the paper</h1>" in text
     for name, words in prose(numbers).items():
         for line in listed(words):
             assert plain(line) not in text, name

@@ -143,6 +143,10 @@ def test_every_equation_is_mathml(site):
         assert not re.search(r"<mi>(&amp;|&<|\\)", page), f"{name}: TeX that latex2mathml does not know"
 
 
+def test_a_list_that_a_sentence_interrupts_goes_on_at_its_number(site):
+    assert [f'<ol start="{first}"' in site["sac.html"] for first in (10, 13, 14)] == [True, True, False]
+
+
 def test_links_to_files_that_are_no_pages_are_their_paths(site):
     assert "uavnav/tasks/world.py</code>" in site["environment.html"]
     assert not [
@@ -173,6 +177,7 @@ def test_the_hook_tells_of_a_file_that_is_missing(monkeypatch):
     assert shown("see [PPO](../docs/ppo.md)") == "see [PPO](../docs/ppo.md)"
     assert shown("by [5 (4 to 6)](../results/tables/gaps.csv#L2) less") == "by 5 (4 to 6) less"
     assert shown("see [the\nmodule](../uavnav/graph.py)") == "see the\nmodule (`uavnav/graph.py`)"
+    assert shown("[a](../results/report.html#verdicts)") == "[a](report/report.html#verdicts)"
     assert shown("[a part](../results/report.md#why)") == "a part (`results/report.md`)"
     assert not told
     shown("see [nothing](../uavnav/nothing.py)")
@@ -231,8 +236,9 @@ TINY = {
     "train sac": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "20"],
     "render": ["--steps", "20"],
+    "study": ["--status"],
 }
-"""What is added to a line, so that it takes a second or two."""
+"""What is added to a line, so that it takes a second or two; a study only says what it would train."""
 
 
 @pytest.fixture
@@ -273,18 +279,21 @@ def untrained_zip(path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("page", sorted({page for page, _ in COMMANDS}))
-def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_path, capfd):
+def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_path, monkeypatch, capfd):
     for name in ("av", "onnxscript", "tensorboard"):
         pytest.importorskip(name)
-    if any("theirs.zip" in command for where, command in COMMANDS if where == page):
-        untrained_zip(tmp_path / "theirs.zip")
     lines = [command for where, command in COMMANDS if where == page]
+    if any("theirs.zip" in command for command in lines):
+        untrained_zip(tmp_path / "theirs.zip")
+    if any("my_activation" in command for command in lines):
+        (tmp_path / "my_activation.py").write_text(blocks(ALL[page], "python")[0])
+        monkeypatch.setitem(networks.ACTIVATIONS, "cube", torch.sign)  # taken back at the end
     for command in lines:
         targets = command.startswith("make ") and command != "make train"  # hours, minutes, or this suite
         if not targets and command not in EXEMPT:
             assert carry_out(command) == 0, command
             assert "arning" not in capfd.readouterr().err, command
-            for named in re.findall(r"(?:--out |\bout=)([^\s$]+)", command):
+            for named in re.findall(r"(?:--out |\bout=)([^\s$]+)", command) * ("uavnav study" not in command):
                 assert (tmp_path / named).exists(), command
 
 

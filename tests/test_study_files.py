@@ -445,9 +445,9 @@ def test_a_finished_run_of_other_settings_does_not_count_as_a_configuration(tmp_
     name = written(tmp_path, yaml.safe_dump({"configurations": [configuration | {"lr": 0.5}]}))
     words = [name, f"out={tmp_path / 'out'}"]
     assert main([*words, "--status"]) == 0
-    assert "holds a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().out
+    assert "contains a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().out
     assert main([*words, "report=false"]) == 2
-    assert "holds a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().err
+    assert "contains a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().err
     written(tmp_path, yaml.safe_dump({"configurations": [configuration]}))
     assert main([*words, "report=false"]) == 0
 

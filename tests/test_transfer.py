@@ -149,7 +149,7 @@ def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_script_i
     still, moving = (uavnav.evaluate_policy(policy, world=world, **flown) for world in (None, fast))
     assert moving["steps"].mean() < 0.5 * still["steps"].mean()
     assert uavnav.evaluate_policy(reactive, task="space", **flown)["steps"].eq(300).all()
-    with pytest.raises(ValueError, match="the policy sees 30 numbers, and this world has 40; give one"):
+    with pytest.raises(ValueError, match="the policy sees 30 numbers, and this task has 40; give one"):
         uavnav.evaluate_policy(policy, task="space", **flown)
     with pytest.raises(ValueError, match=r"task='spcae'; did you mean space\? choose from"):
         uavnav.evaluate_policy(policy, task="spcae", **flown)

@@ -329,7 +329,7 @@ def test_a_part_is_smaller_if_its_interval_as_adjusted_lies_below_half_of_the_pa
 def test_a_claim_of_which_nothing_counts_is_open_and_one_of_context_is_context():
     finding = one(ONE, 9 + EIGHT)
     assert str(grade([finding._replace(standing="the paper's effect is too small")])) == "open"
-    assert str(grade([finding._replace(standing="beside the claim")])) == "context"
+    assert str(grade([finding._replace(standing="no part of the grade")])) == "context"
 
 
 PRINTED = {

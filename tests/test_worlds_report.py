@@ -269,7 +269,7 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
         f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight "
         "reactive"
         f" --max-steps 2000 --seeds 10 --out {home}",
-        "drone, sensor_arc=90.0: no rows of scripts, which fly with the usual settings of a task alone",
+        "drone, sensor_arc=90.0: no rows of scripts, which fly only with the usual settings of a task",
         f"{home}: no rows of random, reactive; write them with uavnav evaluate random reactive"
         f" --max-steps 1000 --task goal --seeds 10 --out {home}",
     ]

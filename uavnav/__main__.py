@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None, **how: Any) -> int:
         print(one_line(f"uavnav: there is no command {name!r}; {known}"), file=sys.stderr)
         return 2
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a path may hold what no terminal shows
+        sys.stdout.reconfigure(errors="replace")  # a path may contain what no terminal shows
     return commands.run(name, words, **how)
 
 

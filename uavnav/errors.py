@@ -17,7 +17,7 @@ WORD = 40
 LONG = 150
 """Characters of choices that are listed whole."""
 MOST_WHOLE = 2**53
-"""The largest whole number that a user may give: a float holds no more digits."""
+"""The largest whole number that a user may give: a float has no more digits."""
 SOME = 5
 """Choices that are named where there are too many."""
 

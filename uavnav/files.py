@@ -39,7 +39,7 @@ Kind = TypeVar("Kind", bound=Facts)
 
 def write(path: Path, content: bytes) -> None:
     """Write aside, then rename: the file is whole or not there; raises OSError, also where something else
-    lies.
+    is.
     """
     if path.exists() and not path.is_file():  # a rename would put the file in its place
         raise FileExistsError(errno.EEXIST, "it is no file", str(path))
@@ -58,14 +58,14 @@ def remove(path: Path) -> None:
 
 
 def check(path: str | Path, most: int = MEMORY_BYTES) -> None:
-    """Raise an OSError unless a regular file lies there (no folder, pipe or device) of at most so many
+    """Raise an OSError unless a regular file is there (no folder, pipe or device) of at most so many
     bytes.
     """
     _check(os.stat(_named(path)), most)
 
 
 def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
-    """What a regular file holds; raises an OSError as `check` does, or where it cannot be read."""
+    """What a regular file contains; raises an OSError as `check` does, or where it cannot be read."""
     descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
     try:
         _check(os.fstat(descriptor), most)

@@ -45,9 +45,9 @@ Init = Literal["orthogonal", "unit", "default"]
 class AgentLinear(nn.Module):
     """One linear layer per agent, computed as one product: x [A, ..., in] -> [A, ..., out].
 
-    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO; `"unit"` differs in its gains
-    alone. `"default"` is PyTorch's initialisation (weights and biases uniform within 1 / sqrt(in)) and SB3's
-    choice for DQN. generators[a] alone initialises agent a.
+    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO; `"unit"` differs only in its
+    gains. `"default"` is PyTorch's initialisation (weights and biases uniform within 1 / sqrt(in)) and SB3's
+    choice for DQN. Only generators[a] initialises agent a.
     """
 
     def __init__(

@@ -203,7 +203,7 @@ def lines(kind: type[Settings], prefix: str = "") -> list[Line]:
 
 
 def choices(field: FieldInfo) -> Collection[str]:
-    """The names that a field takes, if it takes names of some table alone."""
+    """The names that a field takes, if it takes only names of some table."""
     if get_origin(field.annotation) is Literal:
         return get_args(field.annotation)
     tables = (one.func.table for one in _metadata(field) if isinstance(getattr(one, "func", None), OneOf))

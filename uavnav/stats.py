@@ -1,4 +1,4 @@
-"""Intervals and tests over training seeds. Seeds are resampled, never episodes alone; every number has its n.
+"""Intervals and tests over training seeds. Seeds are resampled, never episodes; every number has its n.
 
 scipy, statsmodels and lifelines compute; this module chooses the question and the rows. Letters: S seeds of a
 configuration, E episodes of a seed.
@@ -62,8 +62,8 @@ def interval(
 def intervals(
     rows: Sequence[Sequence[float] | Array], statistics: Sequence[Callable[..., Any]], seed: int = 0
 ) -> list[list[Interval]]:
-    """`interval` of each statistic of each row; rows of as many seeds share their draws, as if each were
-    alone.
+    """`interval` of each statistic of each row; rows of as many seeds share their draws, with the same result
+    as each by itself.
     """
     known = [np.asarray(row, dtype=np.float64) for row in rows]
     known = [row[~np.isnan(row)] for row in known]
@@ -80,7 +80,7 @@ def intervals(
 
 
 def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1) -> Array:
-    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by how its terms lie in
+    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by the order of its terms in
     memory.
     """
     table = np.ascontiguousarray(np.moveaxis(table, axis, -1))
@@ -291,7 +291,7 @@ def rank_correlation(first: Sequence[Array], second: Sequence[Array], seed: int 
 
 
 class Prediction(NamedTuple):
-    """Where a number lies among seeds, and the interval in which 95 % of single new seeds lie."""
+    """Where a number is among seeds, and the interval that contains 95 % of single new seeds."""
 
     percentile: float
     low: float
@@ -305,7 +305,7 @@ def prediction(seeds: Array, number: float) -> Prediction:
 
     The interval is Student's, mean -+ t_0.975 s sqrt(1 + 1/S). The percentile is the share of seeds below the
     number, of equal ones half, in %. At 0 and 100 the number is outside the seeds' range. The range of 40
-    seeds holds a further seed in 95 % of cases. All is NaN, and the number not within, with fewer than two
+    seeds contains a further seed in 95 % of cases. All is NaN, and the number not within, with fewer than two
     seeds or without a number.
     """
     n = len(seeds)
@@ -497,7 +497,7 @@ def survival(steps: Array, ended: Array) -> pd.Series[float]:
 def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
     """Mean steps up to a limit, corrected for censoring: the area below the survival curve.
 
-    Where nothing was cut off before the limit, that is the mean of min(steps, limit).
+    Where nothing was censored before the limit, that is the mean of min(steps, limit).
     """
     if np.all(ended.astype(bool) | (steps >= limit)):
         return float(np.minimum(steps, limit).mean())

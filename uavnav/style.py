@@ -87,7 +87,7 @@ WIDTH, NARROW, FULL = 8.0, 5.0, 12.3
 
 
 class Drawn(NamedTuple):
-    """A figure and one sentence that holds its main numbers."""
+    """A figure and one sentence with its main numbers."""
 
     figure: Figure
     alt: str
@@ -145,7 +145,7 @@ _SHORTER: dict[bytes, bytes | Callable[[re.Match[bytes]], bytes]] = {
 
 
 def embedded(figure: Figure) -> str:
-    """A drawing as an address in a page holds it, by day and by night as the page is.
+    """A drawing as an address in a page, by day and by night as the page is.
 
     Places are to a hundredth of a point, and nothing is in it that is not drawn.
     """
@@ -195,7 +195,7 @@ def mark(marker: str, label: str, **look: Any) -> Line2D:
 
 def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interval | None = None) -> Interval:
     """A configuration's seeds [S], their mean and its interval, in one row of a chart; known: the mean
-    that a table holds.
+    that a table contains.
     """
     found = known or stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))
     spread = row + np.linspace(-0.14, 0.14, len(seeds)) if len(seeds) > 1 else [row] * len(seeds)

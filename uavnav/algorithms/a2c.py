@@ -56,7 +56,7 @@ class A2CConfig(TrainConfig):
         },
     }
 
-    n_steps: Count = key(5, "of every world in a rollout, and so in a gradient step", "steps")
+    n_steps: Count = key(5, "of every environment in a rollout, and so in a gradient step", "steps")
     lr: AtLeast0 = key(7e-4, "RMSprop's learning rate")
     rms_eps: AtLeast0 = key(1e-5, "RMSprop's ε")
     gae_lambda: Share = key(1.0, "λ of the advantage estimate")

@@ -7,7 +7,7 @@ learning.
     L_alpha = log alpha (H(pi(.|s)) - H_target)
 
 over transitions (s, a, R, s') drawn uniformly from DQN's buffer. Both Q- follow their Q softly after each
-step; where an episode terminated at s', y is R alone. The temperature alpha keeps the policy's entropy H near
+step; where an episode terminated at s', y is R. The temperature alpha keeps the policy's entropy H near
 its target.
 
 Letters: A agents, one per seed, that learn side by side and independently of each other; W environments an

@@ -36,7 +36,6 @@ HEADS = {
     "startup": "start-up [s]",
     "rate": "frames/s",
     "whole": "1 M frames",
-    "per_seed": "per seed",
     "times": "times",
     "peak": "peak [GB]",
 }
@@ -51,6 +50,8 @@ def frame(results: Results) -> pd.DataFrame:
         if "whole" in found:
             seeds = one.arguments.get("n_seeds", 1)
             row |= {"rate": found["rate"] * seeds, "per_seed": found["whole"] / seeds / one.copies}
+        elif "rate" in found:  # the environment's memory is that of torch
+            row["peak"] = float("nan")
         records.append(row | {"speed": 1 / row["per_seed"] if "per_seed" in row else row.get("rate")})
     rows = pd.DataFrame(records)
     rows["speed"] = rows["speed"].astype(float)
@@ -67,7 +68,7 @@ def show(key: str, value: Any) -> str:
         return value
     if pd.isna(value):
         return "-"
-    if key in ("whole", "per_seed"):
+    if key == "whole":
         return str(datetime.timedelta(seconds=round(value)))
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
@@ -104,7 +105,7 @@ def machine() -> str:
         with suppress(importlib.metadata.PackageNotFoundError):
             versions.append(f"{name} {importlib.metadata.version(name)}")
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    return f"{processor()}, {CORES} cores in use, {memory:.0f} GB, {platform.system()}; {', '.join(versions)}"
+    return f"{processor()}, {CORES} cores, {memory:.0f} GB; {', '.join(versions)}"
 
 
 def read_sections(path: Path) -> dict[str, str]:
@@ -115,15 +116,14 @@ def read_sections(path: Path) -> dict[str, str]:
     return dict(zip(["", *parts[::2]], (text.strip() for text in (head, *parts[1::2])), strict=True))
 
 
-def write_sections(path: Path, tables: Mapping[str, Sequence[str]], seconds: float, mark: str = "") -> None:
+def write_sections(path: Path, tables: Mapping[str, Sequence[str]], mark: str = "") -> None:
     """Put sections into the file in place of the old ones; the file is whole or as it was. Raises OSError.
 
-    tables: the lines below each section's text; seconds: the time of measuring; mark: said with the date.
+    tables: the lines below each section's text; mark: said with the date.
     """
     texts, old = read_sections(TEXTS), read_sections(path)
     today = datetime.datetime.now(datetime.UTC).date()
-    took, commit = show("whole", seconds), git_commit(10) or "unknown"
-    said = f"*{today}, commit {commit}{mark and f', {mark}'}, in {took}; {machine()}.*"
+    said = f"*{today}, commit {git_commit(10) or 'unknown'}{mark and f', {mark}'}; {machine()}.*"
     new = {name: "\n".join([texts[name], "", said, "", *lines]) for name, lines in tables.items()}
     every = dict.fromkeys(texts, "") | old | new | {"": texts[""]}  # sections without a text stay last
     parts = [f"<!-- bench: {name} -->\n{text}" if name else text for name, text in every.items() if text]

@@ -101,7 +101,7 @@ def _rate(step: Callable[[], object], seconds: float) -> float:
 
 
 def make_env(which: str) -> Any:
-    """One environment with the wrappers of `gymnasium.make`; `which` world: `numpy` or `uavnav`."""
+    """One environment with the wrappers of `gymnasium.make`; `which`: `numpy` or `uavnav`."""
     if which == "numpy" and "uavnav/NumpyDrone-v0" not in gymnasium.registry:
         gymnasium.register(id="uavnav/NumpyDrone-v0", entry_point="uavnav.bench.numpy_world:NumpyDroneEnv")
     return gymnasium.make({"numpy": "uavnav/NumpyDrone-v0", "uavnav": "uavnav/Drone-v0"}[which])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from argparse import Namespace
 
 from rich.console import Console
@@ -28,7 +27,7 @@ def main(arguments: Namespace) -> int:
     """Measure the sections that are asked for; other sections stay as they are in the file."""
     names = arguments.only or (QUICK if arguments.quick else BY_DEFAULT)
     out = arguments.out or (SCRATCH / "quick.md" if arguments.quick else OUT)
-    began, console = time.monotonic(), Console(highlight=False, soft_wrap=True, markup=False)
+    console = Console(highlight=False, soft_wrap=True, markup=False)
     for number in STOPS:
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
@@ -37,7 +36,7 @@ def main(arguments: Namespace) -> int:
     tables = sections(results)
     if tables:
         marks = ["one round each"] * arguments.quick + ["cut short"] * results.stopped
-        write_sections(out, tables, time.monotonic() - began, ", ".join(marks))
+        write_sections(out, tables, ", ".join(marks))
         print(f"wrote {out}")
     if results.stopped:
         kept = f"what was found so far is in {out}" if tables else "nothing was found yet"

@@ -149,7 +149,7 @@ USUAL = {"preset": "vectorised", "activation": "tanh"}
 
 
 def _train(parser: Parser) -> None:
-    """Train an algorithm on the drone's world and compare it with the paper."""
+    """Train an algorithm to fly the drone and compare it with the paper."""
     parser.add_argument("words", nargs="*")
     parser.add_argument("--multirun", "-m", action="store_true")
     parser.add_argument("--cfg", "-c", choices=["job"])
@@ -229,7 +229,7 @@ def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser)
 
 
 def _algorithms() -> str:
-    """The help of `uavnav train` alone: the algorithms, each with its first line."""
+    """The help of `uavnav train` without an algorithm: the algorithms, each with its first line."""
     width = max(map(len, ALGORITHMS))
     lines = [
         "usage: uavnav train ALGORITHM [KEY=VALUE ...] [-m] [--cfg job] [--quiet] [--json]",
@@ -252,24 +252,24 @@ def _algorithms() -> str:
 
 
 def _evaluate(parser: Parser) -> None:
-    """Fly runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode."""
+    """Evaluate runs, scripted policies or zips of Stable-Baselines3 on the test split: a row per episode."""
     parser.epilog = "example: uavnav evaluate runs/ppo-vectorised/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"layouts (default: {EPISODES})")
     told = (
-        f"time limit (default: {MAX_STEPS:,}, across ladders and worlds {ACROSS_STEPS:,}, or the task's "
+        f"time limit (default: {MAX_STEPS:,}, across ladders and tasks {ACROSS_STEPS:,}, or the task's "
         "own if less)"
     )
     parser.add_argument("--max-steps", type=whole, help=told)
     _which_layouts(parser)
     _task(parser)
     _faults(parser)
-    told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
+    told = f"evaluate on every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
-    told = "with --across: no scripted policies beside, no greedy episodes, no figure"
+    told = "with --across: only the runs, sampled, without scripted policies and a figure"
     parser.add_argument("--alone", action="store_true", help=told)
-    told = "fly each in every world that one of the runs was trained in instead, and draw the matrix"
+    told = "evaluate each instead in every task that one of the runs was trained in, and draw the matrix"
     where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)
     told = f"so many seeds of {DRAWS}, each on every layout (default: 1)"
@@ -315,7 +315,7 @@ def _play(parser: Parser) -> None:
 
 
 def _playground(parser: Parser) -> None:
-    """Write playground.html: fly the drone in a browser, beside trained policies and a scripted policy."""
+    """Write playground.html: fly the drone in a browser, against trained policies and a scripted policy."""
     parser.epilog = "example: uavnav playground runs --out playground.html"
     told = "a run, or runs with policies below (default: runs if it has any, else the policies that ship)"
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help=told)
@@ -379,7 +379,7 @@ def _compare(parser: Parser) -> None:
 
 
 def _report(parser: Parser) -> None:
-    """Write report.html: your runs beside the scripted policy, or the paper's claims, figures, replays."""
+    """Write report.html: your runs against the scripted policy, or the paper's claims, figures, replays."""
     parser.epilog = "example: uavnav report runs --watch"
     parser.add_argument(
         "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs, or results where there is none)"
@@ -403,11 +403,9 @@ def _verify(parser: Parser) -> None:
 
 
 def _bench(parser: Parser) -> None:
-    """Measure the world, training and its peers on this machine, and write it down; 40 minutes."""
+    """Measure the environment, training and its peers on this machine, in about an hour."""
     parser.epilog = "example: uavnav bench --quick"
-    parser.add_argument(
-        "--quick", action="store_true", help="a first impression: 3 minutes, 5 if caches are cold"
-    )
+    parser.add_argument("--quick", action="store_true", help="a first impression, in 3 to 5 minutes")
     sections = (*BY_DEFAULT, *LONGER)
     told = f"of {', '.join(sections)} (default: {', '.join(BY_DEFAULT)})"
     parser.add_argument("--only", nargs="+", choices=sections, metavar="SECTION", help=told)
@@ -439,7 +437,7 @@ def _layouts(parser: Parser) -> None:
     parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which split to write")
     parser.add_argument("--task", default="drone", help=f"whose obstacles: {TASKS} (default: drone)")
     parser.add_argument(
-        "--k", type=whole, help=f"obstacles per set, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
+        "--k", type=whole, help=f"obstacles per layout, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
     )
     parser.add_argument("--n", type=whole, help=f"layouts in the split (default: {sizes})")
     parser.add_argument("--seed", type=whole, help=f"generator seed (default: {seeds})")
@@ -456,7 +454,7 @@ STUDY_KEYS = {
     "seeds": "seeds=N of each configuration",
     "frames": "frames=N of each seed",
     "trials": "trials=N of each algorithm, where the study tunes",
-    "algorithms": "algorithms=ppo,sac alone",
+    "algorithms": "algorithms=ppo,sac only",
     "seeds_per_worker": "seeds_per_worker=N of a job",
     "checkpoint_seconds": "checkpoint_seconds=60 between two snapshots",
     "policies": "policies=true trains configurations again of which only rows are there",
@@ -492,7 +490,7 @@ def _which_layouts(parser: Parser) -> None:
 
 
 def _task(parser: Parser) -> None:
-    told = f"whose world scripted policies fly in: {TASKS} (default: that of the run, or drone)"
+    told = f"that scripted policies fly in: {TASKS} (default: that of the run, or drone)"
     parser.add_argument("--task", default="drone", help=told)
 
 

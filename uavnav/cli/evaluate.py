@@ -46,7 +46,7 @@ def _found(name: str, arguments: Namespace) -> Run | Flyer:
 def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
     """Raise a ConfigError for options that do not go with what is named or with each other."""
     if arguments.task != "drone" and not BASELINES.keys() & found.keys():
-        raise ConfigError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
+        raise ConfigError(f"--task {arguments.task}: what was trained flies in its own task; leave it out")
     elsewhere = arguments.across is not None or arguments.transfer
     if arguments.seeds != 1:
         given = f"--seeds {arguments.seeds}"
@@ -55,18 +55,16 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
         if DRAWS not in arguments.runs or elsewhere:
             raise ConfigError(f"{given}: only {DRAWS} has several, on the layouts of one split; leave it out")
     if arguments.alone and arguments.across is None:
-        raise ConfigError("--alone: only --across flies others beside; leave it out")
+        raise ConfigError("--alone: only --across adds scripted policies; leave it out")
     if elsewhere and arguments.faults is not None:
         raise ConfigError(
-            f"--faults {arguments.faults}: ladders and worlds of training have their own; leave it out"
+            f"--faults {arguments.faults}: ladders and tasks of training have their own; leave it out"
         )
     if elsewhere and arguments.layouts != "test":
         told = "--across and --transfer fly on test layouts of their own"
         raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
     if arguments.transfer and arguments.task != "drone":
-        raise ConfigError(
-            f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out"
-        )
+        raise ConfigError(f"--task {arguments.task}: --transfer flies in the tasks of the runs; leave it out")
 
 
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
@@ -116,7 +114,7 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
 
 
 def main(arguments: Namespace) -> int:
-    """Evaluate all that is named on one split, or across ladders, or in each other's worlds."""
+    """Evaluate all that is named on one split, or across ladders, or in each other's tasks."""
     zips = policies.zips(arguments.runs, arguments.activation)
     if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
         raise ConfigError(f"--out {arguments.out}: two zips of one name would share a file; rename one")

@@ -24,7 +24,7 @@ def main(arguments: Namespace) -> int:
 def _write(arguments: Namespace) -> None:
     if arguments.seed is not None and arguments.split == "all":
         raise LayoutError(
-            f"--seed {arguments.seed}: give --split too, or all splits would hold the same layouts"
+            f"--seed {arguments.seed}: give --split too, or all splits would have the same layouts"
         )
     if arguments.task not in KINDS:
         raise LayoutError(f"--task {arguments.task}: {choose_from(arguments.task, KINDS)}")

@@ -1,4 +1,4 @@
-"""`uavnav play`: fly in the browser, beside runs; and what one flew there as rows for a report."""
+"""`uavnav play`: fly in the browser, against runs; keep a person's episodes as rows for a report."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def main(arguments: Namespace) -> int:
     make_task(EMPTY, task=arguments.task)
     if arguments.task not in TITLES:
         film = f"uavnav render reactive --task {arguments.task} --out flight.gif"
-        raise ConfigError(f"--task {arguments.task}: the playground has no such world; watch it: {film}")
+        raise ConfigError(f"--task {arguments.task}: the playground has no such task; watch it: {film}")
     if arguments.out:
         check_out(arguments.out)
     flyers = collect(arguments.runs or usual(), arguments.seed, arguments.activation)

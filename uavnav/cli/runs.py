@@ -1,4 +1,4 @@
-"""`uavnav runs`: what lies in some folders, read from a few small files of each run. Nothing here trains.
+"""`uavnav runs`: what is in some folders, read from a few small files of each run. Nothing here trains.
 
 A run that says it is running, and whose `progress.json` is older than a minute, was killed.
 """

@@ -38,7 +38,7 @@ LINE_SECONDS = 30.0
 
 
 class Keys(Settings):
-    """The settings of a study, beside those of its engine; `commands.STUDY_KEYS` says what they mean."""
+    """The settings of a study, without those of its engine; `commands.STUDY_KEYS` says what they mean."""
 
     engine: str = key("local")
     out: str | None = key(None)
@@ -221,7 +221,7 @@ def main(arguments: Namespace) -> int:
 
 
 def scripted(configurations: Sequence[Configuration], folder: Path) -> list[list[str]]:
-    """The episodes of scripts that a folder lacks, in the worlds of configurations and on the rungs that are
+    """The episodes of scripts that a folder lacks, in the tasks of configurations and on the rungs that are
     layouts of their own: each the words of `uavnav evaluate`.
     """
     wanted: dict[Protocol | None, None] = {}

@@ -58,7 +58,7 @@ class Command(Settings):
     """The keys of the command itself; all others are fields of the algorithm's configuration."""
 
     out: Folder = key(None, "the run's folder; null is runs/ALGORITHM-PRESET/ACTIVATION, and what differs")
-    overwrite: bool = key(False, "start anew if the folder already holds a run")
+    overwrite: bool = key(False, "start anew if the folder already contains a run")
     checkpoint_seconds: Seconds = key(CHECKPOINT_SECONDS, "the shortest time between two snapshots")
     evaluate: bool = key(True, "fly 200 test layouts after training, once greedily and once as in training")
     plugins: Any = key(None, "my_module or [one,other]: modules of your own, imported first")

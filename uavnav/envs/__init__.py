@@ -1,1 +1,1 @@
-"""The world's shells: TorchRL, Gymnasium, Stable-Baselines3, and one state as a picture."""
+"""The environment's shells: TorchRL, Gymnasium, Stable-Baselines3, and one state as a picture."""

@@ -1,4 +1,4 @@
-"""One state of the world as a picture, without a screen; of a box in 3D two views, from above and from
+"""One state of a task as a picture, without a screen; of a box in 3D two views, from above and from
 the side.
 """
 

@@ -1,8 +1,8 @@
-"""The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in
+"""The environment for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in
 tensors).
 
 Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the
-second. Other worlds have names of their own, such as `uavnav/Moving-v0`; every field of a world is a keyword:
+second. Other tasks have names of their own, such as `uavnav/Moving-v0`; every field of a world is a keyword:
 `speed_max=3.0`.
 """
 
@@ -61,7 +61,7 @@ def _task(
 ) -> WrappedTask:
     """The task of an environment, on the CPU, from its keywords; fields: of its world, and of its faults."""
     if fields and not isinstance(task, str):
-        raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
+        raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields with it")
     own = {name: value for name, value in fields.items() if name in NAMES}
     if own:
         faults = {**(faults.model_dump() if isinstance(faults, Faults) else faults or {}), **own}

@@ -1,6 +1,6 @@
-"""The batched world as Stable-Baselines3's VecEnv; Stable-Baselines3 does not accept a Gymnasium VectorEnv.
+"""The batched environment as a VecEnv; Stable-Baselines3 does not accept a Gymnasium VectorEnv.
 
-The module needs the extra `sb3`. `PPO("MlpPolicy", DroneVecEnv(num_envs=16))` trains in the world.
+The module needs the extra `sb3`. `PPO("MlpPolicy", DroneVecEnv(num_envs=16))` trains in it.
 """
 
 from __future__ import annotations

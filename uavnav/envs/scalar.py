@@ -1,4 +1,4 @@
-"""One drone in plain numbers: the same world as `dynamics`, `sensing` and `task`, without tensors.
+"""One drone in plain numbers: the same as `dynamics`, `sensing` and `task`, without tensors.
 
 For a single row, tensor calls cost far more than the arithmetic (docs/benchmarks.md). Positions agree with
 the batch bit for bit, and observations up to rounding. Turns, distances, rewards, sines and cosines come from
@@ -32,7 +32,7 @@ Circles = Sequence[Sequence[float]]
 
 
 def fly(task: WrappedTask) -> Episode | BatchOfOne:
-    """A drone in plain numbers in a 2D world of the package, without memory, faults and sensed velocities,
+    """A drone in plain numbers in a 2D task of the package, without memory, faults and sensed velocities,
     for a reward of the table; else as a batch of one.
     """
     kind = {Task: Episode, Moving: AmongMoving, Goal: ToGoal}.get(type(task.task))

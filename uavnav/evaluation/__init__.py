@@ -81,7 +81,7 @@ def evaluate_policy(
             second is a generator.
         layouts: `train`, `validation`, `test`, a layout file's path, or a tensor [n, k, 3].
         episodes: how many layouts, from the first.
-        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no
+        max_steps: an episode that lasts so long is `truncated`: a censored observation and no
             collision. By default 10,000, or the task's own limit where that is lower.
         world: constants and switches; by default those that the policy was trained in, if it has any.
         reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
@@ -97,7 +97,7 @@ def evaluate_policy(
     Raises:
         LayoutError: the split cannot be read.
         ValueError: an unknown reward or task, more episodes than the split has layouts, a count below 1, or a
-            policy that sees another number of numbers than there are in this world.
+            policy that sees another number of numbers than there are in this task.
     """
     if not callable(policy):
         raise ConfigError(
@@ -114,9 +114,7 @@ def evaluate_policy(
     )
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
         sees = f"the policy sees {policy.task.observation_size} numbers"
-        raise ValueError(
-            f"{sees}, and this world has {own.observation_size}; give one that was trained there"
-        )
+        raise ValueError(f"{sees}, and this task has {own.observation_size}; give one that was trained there")
     limit = own.limit(MAX_STEPS) if max_steps is None else max_steps
     return fly({seed: suited(policy, own)}, on(own, layouts, episodes, limit, faults)).episodes
 

@@ -229,8 +229,8 @@ def across(
     The time limit is 2,000 steps if none is given, or that of a policy's own task where it is lower. `tell`
     is told of limits that differ, and a figure is named after the highest. Scripted policies fly the task of
     the first policy's training, or `task` where there is none. A ladder that one of the tasks does not have
-    is left out, and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in the
-    first run's folder. `alone`, policies fly only as in training, without scripted ones and a figure.
+    is left out, and `tell` is told so. The rows of a run are in its folder, figures in `out` or else in the
+    first run's folder. `alone`: policies fly only as in training, without scripted ones and a figure.
 
     Returns:
         What the tables show, for JSON.
@@ -255,11 +255,11 @@ def across(
     fit = ", ".join(name for name in LADDERS if not unfit[name])
     climbed = [name for name in names if not unfit[name]]
     if not climbed:
-        raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {fit}")
+        raise RunError(f"--across {' '.join(names)}: no ladder of these tasks; give some of {fit}")
     for name in names:
         if name not in climbed:
             tell(
-                f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; "
+                f"left out: the ladder {name}, which the task of {', '.join(unfit[name])} does not have; "
                 f"{fit} fit"
             )
     turns, distances = chosen_among(scripted.world)
@@ -274,7 +274,7 @@ def across(
         tell(f"time limits differ ({each}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
     if not quiet and episodes < SKETCH:
-        tell(f"{episodes} episodes a rung are a sketch; give {SKETCH} or more for intervals that hold")
+        tell(f"{episodes} episodes a rung are a sketch; give {SKETCH} or more for intervals to trust")
     flown = {one.name: episodes * sum(map(len, one.modes.values())) for one in flyers}
     rungs = sum(len(LADDERS[name].rungs) for name in climbed)
 

@@ -1,6 +1,6 @@
 """Policies that act side by side: those of a run as one network [A, ...], and every other one in turn.
 
-A product rounds by its columns alone from four rows on. Each agent has at least 16, so that its actions do
+From four rows on, a product rounds only by its columns. Each agent has at least 16, so that its actions do
 not depend on who else acts. Letters: A agents, F rows of all policies, N of some, W of each agent in a
 product.
 """
@@ -44,7 +44,7 @@ class Policies:
     def act(self, observation: Tensor, sizes: Sequence[int]) -> tuple[Tensor, Tensor | None]:
         """An action for each row, and the numbers behind it unless a script acts: [F, obs] -> [F], [F, n].
 
-        sizes: how many rows each policy has; they lie one policy behind the other.
+        sizes: how many rows each policy has; one policy's after the other's.
 
         Raises:
             ValueError: a policy chose something that is no action.
@@ -77,7 +77,7 @@ class Policies:
 
 
 class Agents:
-    """Policies whose networks differ in their weights alone, as one network."""
+    """Policies whose networks differ only in their weights, as one network."""
 
     def __init__(self, policies: Sequence[tuple[int, Policy]]) -> None:
         self.n = len(policies)
@@ -122,7 +122,7 @@ class Agents:
 
 
 class Alone:
-    """Any other policy, such as a script: it may take an observation alone, and return an array or a list."""
+    """Any other policy, such as a script: it may take only an observation, and return an array or a list."""
 
     n = 1
 

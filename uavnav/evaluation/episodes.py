@@ -3,7 +3,7 @@
 Each policy has one episode on each layout of the task. It does not depend on who else is there. The
 number of episodes and the time limit decide when the step is compiled, which rounds otherwise. What faults
 draw follows from the policy's seed, the layout and the step. Letters: F episodes that go on, P places of a
-batch, which also holds some that have ended.
+batch, which also contains some that have ended.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Transition(NamedTuple):
 
     number: int  # counted from 1
     episode: Tensor  # [F] which they are: first all layouts of the first policy
-    place: Tensor  # [F] where they lie in `before`, `states` and `outcomes`
+    place: Tensor  # [F] where they are in `before`, `states` and `outcomes`
     action: Tensor  # [F] as it was executed
     values: Tensor | None  # [F, n_actions] the numbers behind the actions; None where a script acts
     before: State  # [P]

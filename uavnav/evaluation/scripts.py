@@ -1,4 +1,4 @@
-"""Rows of the scripted policies in the tasks of a study, which a report reads beside its runs.
+"""Rows of the scripted policies in the tasks of a study, which a report compares with its runs.
 
 `uavnav evaluate random straight reactive --seeds 10 --out DIR` writes them, and so does a study that has
 `scripts`.

@@ -1,5 +1,5 @@
-"""The six metrics of a finished run or of an evaluation beside the paper's: a table for people, a record
-for JSON.
+"""The six metrics of a finished run or of an evaluation, and the paper's: a table for people, a record for
+JSON.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def of_run(run: Run) -> Table:
-    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's
+    """The six metrics of a finished run, per frame, by the log curve and per episode, next to the paper's
     row.
     """
     config = run.config
@@ -139,7 +139,7 @@ def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, floa
 
 
 def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
-    """The six metrics of an evaluation in each of its modes, beside the paper's row where there is one.
+    """The six metrics of an evaluation in each of its modes, with the paper's row where there is one.
 
     rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`; who: has flown, a run or a policy's name.
     """
@@ -150,7 +150,7 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
     name = f"{who.algorithm} {who.config['activation']}" if isinstance(who, Run) else who
     return _metric_table(
         f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} layouts",
-        "; ".join([f"{seeds}; cut off at the time limit: {censored}", *_own(rows)]),
+        "; ".join([f"{seeds}; truncated at the time limit: {censored}", *_own(rows)]),
         flown,
         of_paper(who, rows.attrs) if isinstance(who, Run) else {},
         "episode",
@@ -158,7 +158,7 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
 
 
 def _own(rows: pd.DataFrame) -> list[str]:
-    """What the world or the split has of its own, in words: means over seeds, by mode."""
+    """What the task or the split has of its own, in words: means over seeds, by mode."""
     means = {str(mode): metrics.own(flown).mean() for mode, flown in rows.groupby("mode")}
     return [
         f"{one.label}: {', '.join(f'{mean[name]:,.2f} {mode}' for mode, mean in means.items())}"
@@ -168,7 +168,7 @@ def _own(rows: pd.DataFrame) -> list[str]:
 
 
 def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
-    """How a run flies that acts as in training, in a sentence, beside `reactive` where that flies the same.
+    """How a run flies that acts as in training, in a sentence, and `reactive` where that flies the same.
 
     rows: as `evaluate_run` gives them on the test split; config: of the run.
     """

@@ -1,7 +1,7 @@
 """The transfer matrix: trained in one environment, evaluated in another, where observations have the same
 size.
 
-`uavnav evaluate RUN RUN... --transfer` evaluates each policy on the test layouts of each world that one of
+`uavnav evaluate RUN RUN... --transfer` evaluates each policy on the test layouts of each task that one of
 them was trained in.
 """
 
@@ -33,13 +33,13 @@ from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
 
 FLOWN = "flown_in"
-"""The column that names the world of an episode."""
+"""The column that names the task of an episode."""
 SPEEDS = ("speed_min", "speed_max")
 """Fields of a world by which sensed velocities are scaled."""
 
 
 class Place(NamedTuple):
-    """A world that a policy was trained in, on its test layouts."""
+    """A task that a policy was trained in, on its test layouts."""
 
     name: str
     task: WrappedTask
@@ -47,7 +47,7 @@ class Place(NamedTuple):
 
 
 def place(run: Run, episodes: int, max_steps: int | None) -> Place:
-    """Where a run was trained: its world and faults, on the first test layouts that belong to its split.
+    """Where a run was trained: its task and faults, on the first test layouts that belong to its split.
 
     The time limit is 2,000 steps if none is given, or the task's own where that is lower.
 
@@ -78,13 +78,13 @@ def trained_in(run: Run) -> tuple[WrappedTask, str]:
         )
     except (TypeError, ValueError) as error:
         raise RunError(
-            f"{run.path / 'config.yaml'}: names no world ({error}); give a run of this package"
+            f"{run.path / 'config.yaml'}: names no task ({error}); give a run of this package"
         ) from error
     return task, splits.judged_on(own.get("layouts", "train"))
 
 
 def named(task: WrappedTask, layouts: str) -> str:
-    """A world in words: its task or the rung of its split, and what else is not as usual."""
+    """A task in words: its name or the rung of its split, and what else is not as usual."""
     name = name_of(task)
     all_layouts = splits.name_of(layouts).removesuffix("-test")
     usual = task.WORLD().model_dump()
@@ -98,7 +98,7 @@ def named(task: WrappedTask, layouts: str) -> str:
 
 
 def _sizes(task: WrappedTask) -> tuple[int, int, int]:
-    """What worlds must have in common: numbers of an observation, turns and distances to choose from."""
+    """What tasks must have in common: numbers of an observation, turns and distances to choose from."""
     return task.world.observation_size, task.world.n_turns, task.world.n_distances
 
 
@@ -118,9 +118,9 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
 
 @matplotlib.rc_context(style.STYLE)
 def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
-    """The reward of each policy, as it acts in training, in each world: a heat map with its numbers.
+    """The reward of each policy, as it acts in training, in each task: a heat map with its numbers.
 
-    table: of `judged`; trained: by name, the world of its training, which is framed.
+    table: of `judged`; trained: by name, the task of its training, which is framed.
     """
     mine = table[(table["mode"] != "greedy") & (table["measure"] == "reward")]
     names, worlds = ([*dict.fromkeys(mine[column])] for column in ("name", FLOWN))
@@ -144,7 +144,7 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
             )
     axes.set_xticks(range(len(worlds)), worlds, rotation=20, ha="right", rotation_mode="anchor")
     style.name_rows(axes, [f"{name} (of {trained[name]})" if trained.get(name) else name for name in names])
-    axes.set(title="Reward per episode, framed: the world of training", xlabel="flown in")
+    axes.set(title="Reward per episode, framed: the task of training", xlabel="evaluated in")
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
@@ -165,9 +165,9 @@ def _in_brackets(between: str, value: float, low: float, high: float) -> str:
 
 
 def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
-    """The matrix as a table: a row a policy, mode and measure, a column a world."""
+    """The matrix as a table: a row a policy, mode and measure, a column a task."""
     text = Table(
-        title="Trained in, flown in: means and 95 % intervals over seeds", title_justify="left", box=None
+        title="Trained in, evaluated in: means and 95 % intervals over seeds", title_justify="left", box=None
     )
     worlds = [*dict.fromkeys(table[FLOWN])]
     for column in ("who", "trained in", "", "measure", *worlds):
@@ -187,7 +187,7 @@ def transfer(
     quiet: bool,
     say: Callable[[str], object] = print,
 ) -> list[dict[str, Any]]:
-    """Fly all that is named in every place of training; rows and a figure lie in `out` or the first run's
+    """Evaluate all that is named in every task of training; rows and a figure go to `out` or the first run's
     folder.
 
     max_steps: as of `place`; files are named after the highest limit.
@@ -205,7 +205,7 @@ def transfer(
     first = next((who.task for who in flyers if who.run is not None), None)
     if first is None:
         given = " ".join(who.name for who in flyers)
-        raise RunError(f"--transfer {given}: names no run; give the folders of runs of several worlds")
+        raise RunError(f"--transfer {given}: names no run; give the folders of runs of several tasks")
     fit = [who for who in flyers if who.task is None or _sizes(who.task) == _sizes(first)]
     if left_out := [who.name for who in flyers if who not in fit]:
         size, actions = first.world.observation_size, first.world.n_actions

@@ -40,7 +40,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
 
     Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights
-    if the run has some: a repository may keep its rows alone, or the weights of some seeds.
+    if the run has some: a repository may keep only its rows, or the weights of some seeds.
 
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
@@ -134,7 +134,7 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
 
 
 def _weights(folder: Path) -> tuple[dict[str, torch.Tensor], list[int]]:
-    """The tensors of a policy file, and the seeds that it holds."""
+    """The tensors of a policy file, and the seeds that it contains."""
     path = folder / POLICY
     try:
         tensors, header = contents(path)

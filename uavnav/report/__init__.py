@@ -1,4 +1,4 @@
-"""From run folders to a report: one's own runs beside the scripted policy, and the paper's study: verdicts on
+"""From run folders to a report: one's own runs and the scripted policy, and the paper's study: verdicts on
 its claims, tables, figures, replays, methods.
 
 `python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/. It
@@ -51,8 +51,8 @@ def report(
     tell: is told each step of the work; watched: the page renews itself.
 
     Raises:
-        RunError: a folder is missing or holds no run, no run can be used, or `out` cannot be written: nothing
-            is.
+        RunError: a folder is missing or contains no run, no run can be used, or `out` cannot be written:
+            nothing is.
     """
     read, where = places(folders, out)
     try:

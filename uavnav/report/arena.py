@@ -1,4 +1,4 @@
-"""Figures of the arena, seen from above: flown paths, and where drones spend their time."""
+"""Figures of the arena, seen from above: paths of drones, and where drones spend their time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def trajectories(
     mode: str = "greedy",
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """Flown paths of a configuration's first seed, as the paper's figures 6 and 7: a row a layout, a column a
+    """Paths of a configuration's first seed, as the paper's figures 6 and 7: a row a layout, a column a
     configuration.
 
     tables: label -> rows with the columns seed, layout, step, x, y, clearance and mode; all_layouts: [L, K,
@@ -40,7 +40,7 @@ def trajectories(
     of_mode = {name: rows[rows["mode"] == mode] for name, rows in tables.items()}
     one = {name: rows[rows["seed"] == rows["seed"].min()] for name, rows in of_mode.items()}
     if not layouts or not any(len(rows) for rows in one.values()):
-        return style.nothing(f"Paths flown, {mode}")
+        return style.nothing(f"Paths of drones, {mode}")
     height = len(layouts) * ((width - 0.5) / len(one) * world.height / world.width + 0.27) + 0.45 + 0.5
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04))
     panels = figure.subplots(len(layouts), len(one), squeeze=False)
@@ -60,8 +60,8 @@ def trajectories(
             axes.plot(
                 x[-1], y[-1], "X" if crashed else "o", color=colour, markeredgecolor=style.INK, markersize=7
             )
-            axes.set_xlabel(f"{len(path)} steps" if len(path) else "not flown", fontsize=11, labelpad=2)
-            ends.append(f"{len(path)} {'crash' if crashed else 'no crash'}" if len(path) else "not flown")
+            axes.set_xlabel(f"{len(path)} steps" if len(path) else "no episode", fontsize=11, labelpad=2)
+            ends.append(f"{len(path)} {'crash' if crashed else 'no crash'}" if len(path) else "no episode")
         seeds = f", seed {rows['seed'].iloc[0]}" if len(rows) else ""
         title = [*textwrap.wrap(name, int(9 * width) // len(one)), seeds[2:]]
         column[0].set_title("\n".join(title), fontsize=11)
@@ -76,7 +76,9 @@ def trajectories(
     ]
     style.legend(figure, handles, 4)
     sets = ", ".join(map(str, layouts))
-    return style.Drawn(figure, f"Paths flown, {mode}, and their steps on layouts {sets}: {'; '.join(said)}.")
+    return style.Drawn(
+        figure, f"Paths of drones, {mode}, and their steps on layouts {sets}: {'; '.join(said)}."
+    )
 
 
 def _arena(axes: Axes, obstacles: Array, world: World) -> None:

@@ -1,7 +1,7 @@
 """What episodes look like, as numbers for each training seed (claims 9 and 10); nothing here trains.
 
 A table of behaviour has a row a step and the columns mode and `COLUMNS`; an episode is the steps of one mode,
-seed and layout. Files hold its actions alone (`uavnav.evaluation.BEHAVIOUR_COLUMNS`). Letters: P poses, K
+seed and layout. Files contain only its actions (`uavnav.evaluation.BEHAVIOUR_COLUMNS`). Letters: P poses, K
 obstacles of a layout, M = K + 4 bodies (they and the four walls), L layouts, F episodes of all seeds
 together, T steps.
 """
@@ -68,7 +68,7 @@ def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
 
 
 def _task(run: Run, path: Path) -> WrappedTask:
-    if (kind := run.config.get("task", "drone")) != "drone":  # whose world has other fields
+    if (kind := run.config.get("task", "drone")) != "drone":  # whose `World` has other fields
         raise RunError(f"{path}: episodes of task={kind}; {ONLY}")
     try:
         return make_task("test", run.config.get("world"))
@@ -136,7 +136,7 @@ def measures(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
       one body, the whole strip of its border squares), two have their nearest points within the sensor's
       radius (120 px) of the drone's centre, in directions at least 120 degrees apart. The heading plays no
       part: it is a property of a place. Two walls of a corner are 90 degrees apart, and make none.
-    - corridor_flown: share of the distance flown in such places: a drone that stands between two bodies
+    - corridor_flown: share of the path in such places: a drone that stands between two bodies
       steers through nothing. NaN for a seed that never moves.
     - reversals: turn-sign reversals a step. A step with angle != 0 is one if the last such step before it in
       the same episode, however long ago, turned the other way: straight steps in between are skipped.
@@ -254,7 +254,7 @@ def _reversals(table: pd.DataFrame, sign: Array) -> pd.Series[bool]:
 def heat(table: pd.DataFrame, world: World, square: int = 20) -> Array:
     """Share of steps in each square: [rows from bottom to top, columns from left to right], summing to 1.
 
-    Every seed weighs the same, however long it flew; a table of several modes is not told apart. No rows: all
+    Every seed weighs the same, however long it flew; a table of several modes is not split. No rows: all
     zeros.
     square: its side [px]; where it does not divide the window, the last row and column are cut by its edge.
     """

@@ -126,7 +126,7 @@ FARTHEST = 2.0
 def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Our effects ÷ the paper's: a row each, in it a mark for each column of evidence, the first one filled.
 
-    table: columns row, column, ratio, low, high, counts; what lies beyond `FARTHEST` is an arrow, and grey
+    table: columns row, column, ratio, low, high, counts; what is beyond `FARTHEST` is an arrow, and grey
     does not count; width: of the figure [inches].
     """
     title = "Our effect ÷ the paper's"
@@ -211,7 +211,7 @@ def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
 
 @matplotlib.rc_context(style.STYLE)
 def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default
+    """Whether conclusions survive other choices: a panel a conclusion, in it a row a switch; the default
     shaded.
 
     table: columns switch (one is `default`), conclusion, value, low, high (a difference in mean reward), n;

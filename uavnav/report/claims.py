@@ -32,7 +32,7 @@ TRAINING, LOG, FINAL, OTHER = (
     "other settings",
 )
 COLUMNS = {TRAINING: PER_FRAME, LOG: LOG_CURVE, FINAL: SAMPLED, OTHER: SAMPLED}
-"""What a claim is graded on, none of which is the answer alone, and the metric definition of each."""
+"""What a claim is graded on, none of which is the whole answer, and the metric definition of each."""
 ALGORITHMS = ("ppo", "dqn")
 """Those that the claims compare: the first is said to be better."""
 BOUNDED, UNBOUNDED = ("tanh", "sigmoid"), ("relu", "leaky_relu")
@@ -48,13 +48,13 @@ NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "le
 
 FIVE = ("ppo", "dqn", "sac", "a2c", "c51")
 PAIR = ("tanh", "relu")
-"""Algorithms of the study `worlds`, and activations of most studies beside the main one, the bounded one
+"""Algorithms of the study `worlds`, and activations of most studies but the main one, the bounded one
 first.
 """
 ALL_WORLDS = "all worlds"
-"""The mean over worlds."""
+"""The mean over tasks."""
 RUNGS = {0: "density-0", 4: "density-4", 8: "drone", 16: "density-16", 20: "density-20"}
-"""Worlds by their number of obstacles."""
+"""Tasks by their number of obstacles."""
 DENSE = (16, 18, 20)
 NARROW = (100, 90, 80, 70)  # [px]
 PASSAGES = {
@@ -69,12 +69,12 @@ obstacle].
 """
 VARIATION, SCATTER = "gradient_variation", "scatter"
 """Over training, a seed's standard deviation of the gradient's norm to its mean; how far a seed's reward is
-from its configuration's median, to the mean of that in its world.
+from its configuration's median, to the mean of that in its task.
 """
 EXPLAINS = {VARIATION: "gradient_variation_explains", SCATTER: "scatter_explains"}
-"""A rank correlation with the reward across the configurations of a world, a number a seed."""
+"""A rank correlation with the reward across the configurations of a task, a number a seed."""
 NO_SAC = "all worlds, without SAC"
-"""The mean over worlds of such correlations among the configurations of other algorithms."""
+"""The mean over tasks of such correlations among the configurations of other algorithms."""
 FAST, TUNED = "fast", "tuned"
 """Studies of other settings: the preset, and what 40 trials found."""
 RANKED, NONE = "ranked", "none"
@@ -82,13 +82,13 @@ RANKED, NONE = "ranked", "none"
 
 
 OF_FLIGHT = ("corridor", "clearance", "empty_", "reversals")
-"""How the names of metrics begin that are known of final policies alone."""
+"""How the names of metrics begin that are known only of final policies."""
 
 
 class Evidence(Protocol):
     """A metric of a configuration: one number a seed [S]; none where it is not known.
 
-    Beside the six metrics there are
+    Besides the six metrics there are
 
     - `stops`, and `hours` (one number a run);
     - `reward_before`, `reward_surge`, `reward_after`: reward in 0-300,000, 300,000-600,000 and the last
@@ -100,7 +100,7 @@ class Evidence(Protocol):
       order of layouts in every configuration (`behaviour.by_layout`).
 
     study: `main`, `initial` (the first reward), `baseline` (the same frames without it), `FAST` or `TUNED`;
-    of claims 12 to 16 a world by its name, with the preset where it is not the default (`drone, fast`), or
+    of claims 12 to 16 a task by its name, with the preset where it is not the default (`drone, fast`), or
     `ALL_WORLDS`.
     """
 
@@ -132,7 +132,7 @@ class Part:
     weights: tuple[tuple[float, ...], ...]
     every: bool = True
     paired: bool = False  # the terms are the same seeds (or layouts), in the same order
-    beside: bool = False  # it stands beside the claim and is no part of its grade
+    beside: bool = False  # it is shown with the claim and is no part of its grade
 
     def sides(self, contrast: int) -> str:
         """Which configurations a contrast compares, in words."""
@@ -285,7 +285,7 @@ def _dqn_takes_corridors() -> list[Part]:
         "corridor": (f"{steps}: {more}", -1),
         "clearance": (f"{space}: {wider}", 1),
         "empty_clearance": (f"distance to the nearest wall in the empty arena: {wider}", 1),
-        "corridor_flown": (f"share of the distance flown between two close obstacles: {more}", -1),
+        "corridor_flown": (f"share of the path between two close obstacles: {more}", -1),
         "corridor_first": (f"{steps}, the first 50 of an episode: {more}", -1),
         "corridor_early": (f"{steps}{early}: {more}", -1),
         "clearance_early": (f"{space}{early}: {wider}", 1),
@@ -315,7 +315,7 @@ def _penalties_cure() -> list[Part]:
 
 
 def at(metric: str, ladder: str, rung: float) -> str:
-    """A metric on a rung of a ladder, as a policy of another world flies it."""
+    """A metric on a rung of a ladder, of a policy trained in another task."""
     return f"{metric} at {ladder} {rung:g}"
 
 
@@ -334,7 +334,7 @@ def _fast(parts: Sequence[Part]) -> list[Part]:
 
 
 def _other_settings() -> list[Part]:
-    """PPO against DQN with the preset `fast` and after tuning, of the activations that were flown."""
+    """PPO against DQN with the preset `fast` and after tuning, of the activations that have runs."""
     parts = []
     for study, activations in {FAST: BOUNDED, TUNED: ("tanh",)}.items():
         up, down = ([(algorithm, one, study) for one in activations] for algorithm in ALGORITHMS)
@@ -377,7 +377,7 @@ def slopes(rungs: Sequence[float]) -> Array:
 
 
 def _slalom() -> list[Part]:
-    """Two independent tests, at the widest narrow gap; what else the same policies do stands beside."""
+    """Two independent tests, at the widest narrow gap; what else the same policies do is only shown."""
     worlds = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
     parts: list[Part] = []
     for (metric, label), gap, (world, words) in itertools.product(PASSAGES.items(), NARROW, worlds.items()):
@@ -390,7 +390,7 @@ def _slalom() -> list[Part]:
 
 
 def _order(world: str, *names: str) -> tuple[Part, ...]:
-    """Each algorithm's reward is above the next one's in a world."""
+    """Each algorithm's reward is above the next one's in a task."""
     return tuple(
         _above(f"reward: {one.upper()} above {two.upper()} in {world}", "reward", one, two, world)
         for one, two in itertools.pairwise(names)
@@ -407,11 +407,11 @@ def _gradients() -> list[Part]:
     parts = []
     for (metric, text), one in itertools.product(questions.items(), FIVE):
         up, down = [(one, unbounded, ALL_WORLDS)], [(one, bounded, ALL_WORLDS)]
-        parts.append(_means(f"{one.upper()}: {text}, mean over worlds", metric, up, down))
+        parts.append(_means(f"{one.upper()}: {text}, mean over tasks", metric, up, down))
     for metric, name in EXPLAINS.items():
         text = (
-            f"{words[metric]}, the more reward: rank correlation across the configurations of a world, "
-            "mean over worlds"
+            f"{words[metric]}, the more reward: rank correlation across the configurations of a task, "
+            "mean over tasks"
         )
         for worlds in (ALL_WORLDS, NO_SAC):
             up, down = [(RANKED, NONE, worlds)], [(RANKED, RANKED, worlds)]
@@ -533,9 +533,9 @@ CLAIMS = (
         _dqn_takes_corridors(),
         equal=("metric",),
         column=FINAL,
-        note="It is three questions: corridors, clearance and the empty arena. Beside them, two parts leave"
-        " out the last 40 steps before a crash, and one takes the first 50 alone. In two, the unit is the"
-        " layout and not the seed, so that the answer holds for other layouts; their n counts layouts.",
+        note="It is three questions: corridors, clearance and the empty arena. Besides them, two parts leave"
+        " out the last 40 steps before a crash, and one takes only the first 50. In two, the unit is the"
+        " layout and not the seed, so that the answer is for other layouts too; their n counts layouts.",
     ),
     Claim(
         10,
@@ -578,7 +578,7 @@ DISCUSSION = (
         _slalom(),
         0,
         ("metric", "study"),
-        "Its tests are two, one for each set of policies. The other gaps are flown by the same policies.",
+        "Its tests are two, one for each set of policies. The other gaps are of the same policies.",
         FINAL,
         _fast(_slalom()),
     ),
@@ -598,7 +598,7 @@ DISCUSSION = (
         _order("space-moving", "sac", "dqn", "ppo"),
         1,
         ("metric", "study"),
-        "With its defaults, SAC is no better there than random flight.",
+        "With its defaults, SAC is no better there than a random policy.",
         OTHER,
         _fast(_order("space-moving", "sac", "dqn", "ppo")),
     ),

@@ -35,7 +35,7 @@ MODE = "sampled"
 MARKS = (100, 1_000, 10_000)
 """Steps after which the episodes that go on are counted."""
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
-"""Fields of a world that are the drone's own: neither layouts nor rewards depend on them."""
+"""Fields of a `World` that are the drone's own: neither layouts nor rewards depend on them."""
 BARS = "▁▂▃▄▅▆▇█"
 WIDTHS = style.WIDTH, style.NARROW
 """Of a figure on a page and on a phone."""
@@ -46,14 +46,14 @@ class Contender(NamedTuple):
 
     name: str
     episodes: pd.DataFrame  # one row a test episode
-    protocol: Mapping[str, Any]  # how they were flown
+    protocol: Mapping[str, Any]  # how they were evaluated
     place: Mapping[str, Any]  # and where: `task`, `reward` and fields of the world
     configuration: Configuration | None  # a run's training; None for what was not trained here
     pilot: str = ""  # an algorithm's or a scripted policy's name, for its colour
 
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
-    """Rows of runs, and of scripts that lie beside the first run (`baselines/`), are read. All else is flown
+    """Rows of runs, and of scripts in `baselines/` next to the first run, are read. All else is evaluated
     now, as the first of the runs was.
 
     activation: of a zip's hidden layers.
@@ -127,7 +127,7 @@ def _of_run(name: str) -> Contender:
 
 
 def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) -> Contender:
-    """A run with its sampled test episodes, if it has any, and how they were flown."""
+    """A run with its sampled test episodes, if it has any, and how they were evaluated."""
     own = configuration.settings
     world = {key.removeprefix("world."): value for key, value in own.items() if key.startswith("world.")}
     place = _place(own["task"], own["reward"], world)
@@ -139,7 +139,7 @@ def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) 
 
 
 def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
-    """The episodes of what is no run, flown now; run: in whose world a scripted policy flies."""
+    """The episodes of what is no run, evaluated now; run: in whose task a scripted policy flies."""
     from uavnav import evaluation
     from uavnav.runs import policies
     from uavnav.runs.policies import Policy
@@ -166,16 +166,18 @@ def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str
 
 
 def check(contenders: Sequence[Contender]) -> None:
-    """Raise a RunError unless all have flown the same layouts with the same time limit."""
+    """Raise a RunError unless all were evaluated on the same layouts with the same time limit."""
     first = contenders[0]
     for other in contenders[1:]:
         if other.protocol != first.protocol:
             both = " and ".join(f"{one.name} on {flown([one])}" for one in (first, other))
-            raise RunError(f"not flown alike: {both}; evaluate both with the same --episodes and --max-steps")
+            raise RunError(
+                f"evaluated differently: {both}; evaluate both with the same --episodes and --max-steps"
+            )
 
 
 def apart(contenders: Sequence[Contender]) -> str:
-    """Which two flew in different worlds, and in what these differ, in one line; empty where all flew in
+    """Which two flew in different tasks, and in what these differ, in one line; empty where all flew in
     one.
     """
     first = contenders[0]
@@ -186,7 +188,7 @@ def apart(contenders: Sequence[Contender]) -> str:
                 f"{one.name} ({', '.join(f'{key}={one.place[key]}' for key in differ)})"
                 for one in (first, other)
             )
-            return f"{' and '.join(both)} flew in different worlds, so their rewards are not of one measure"
+            return f"{' and '.join(both)} flew in different tasks, so their rewards are not of one measure"
     return ""
 
 
@@ -274,7 +276,7 @@ def spark(values: Sequence[float]) -> str:
 
 
 def flown(contenders: Sequence[Contender]) -> str:
-    """How all of them were flown."""
+    """How all of them were evaluated."""
     episodes, layouts, limit = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
     return f"{episodes} layouts ({layouts}), at most {limit:,} steps"
 

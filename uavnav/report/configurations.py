@@ -49,7 +49,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """Runs that differ in their seeds alone."""
+    """Runs that differ only in their seeds."""
 
     algorithm: str
     activation: str
@@ -74,7 +74,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     """The configurations of all runs in some folders, and one line for each run or table that is of no use.
 
     Raises:
-        RunError: a folder is missing or holds no run, or no run can be used.
+        RunError: a folder is missing or contains no run, or no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
     apart = [folder.resolve() for folder in of_worlds(folders)]

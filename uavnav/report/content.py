@@ -84,7 +84,7 @@ class Content:
 
     @functools.cached_property
     def baseline_rows(self) -> list[list[str]]:
-        """Scripts and people beside the study's configurations, as a table."""
+        """Scripts and people with the study's configurations, as a table."""
         return tables.baselines(self.baselines, studies.paper_configurations(self.studies.main))
 
     @functools.cached_property
@@ -115,7 +115,7 @@ def gather(
         told each step of the work.
 
     Raises:
-        RunError: a folder is missing or holds no run, or no run can be used.
+        RunError: a folder is missing or contains no run, or no run can be used.
     """
     configurations, left_out = found or collect(folders)
     sorted_configurations = studies.sort(configurations)

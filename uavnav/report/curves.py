@@ -188,7 +188,7 @@ def survival(
 ) -> style.Drawn:
     """Kaplan and Meier's share of test episodes that last longer, against steps: a line a configuration.
 
-    curves: label -> shares, indexed by steps, as of `stats.survival`; limit: where episodes were cut off
+    curves: label -> shares, indexed by steps, as of `stats.survival`; limit: where episodes were truncated
         [steps];
     width: of the figure [inches]; looks: a colour and a line by label, or else by activation.
     """

@@ -30,7 +30,7 @@ class Row(NamedTuple):
 
 
 def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
-    """A row a claim; those on other worlds where a folder has that study. prose: of `quotes`; root: of
+    """A row a claim; those on other tasks where a folder has that study. prose: of `quotes`; root: of
     its links.
     """
     quotes = Quotes(content.tables, root)
@@ -78,11 +78,6 @@ def table(found: Sequence[Row]) -> tables.Rows:
     """A claim's sentence in the paper and its grade in each column."""
     shown = [["", "the paper says", *COLUMNS]]
     return [*shown, *([str(one.number), one.sentence, *one.grades.values()] for one in found)]
-
-
-def said(found: Sequence[Row]) -> tables.Rows:
-    """What our seeds say of each claim."""
-    return [["", "our seeds say"], *([str(one.number), one.said] for one in found)]
 
 
 def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> tables.Rows:

@@ -74,15 +74,14 @@ def draw(
         found.append(Figure("behaviour", "behaviour", drawn, caption))
     if len(numbers["sensitivity"]):
         caption = (
-            "The band is the interval as decided; an interval that lies across zero from it flips a "
-            "conclusion."
+            "The band is the interval as decided; an interval on the other side of zero flips a conclusion."
         )
         found.append(
             Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"], width), caption)
         )
     if of_worlds and (density := worlds.ladder(of_worlds, "density", width)):
         caption = (
-            "The density ladder: policies trained in the paper's world, means over activations with Welch's "
+            "The density ladder: policies trained in the paper's task, means over activations with Welch's "
             "95 %"
             " intervals over seeds. Dotted and dashed: scripts."
         )

@@ -1,4 +1,4 @@
-"""The numbers of the report as data frames, one row a number or a seed: what `tables/*.csv` holds.
+"""The numbers of the report as data frames, one row a number or a seed: what `tables/*.csv` contains.
 
 Every function takes the configurations of a study and gives a frame; the page, the figures and the Markdown
 show parts of them. To add a metric, add a line to `metrics.METRICS`; to add a measure of episodes, a column
@@ -58,7 +58,7 @@ DIAGNOSTICS = {
 MEASURES = {
     "clearance": "clearance [px]",
     "corridor": "steps in corridors [share]",
-    "corridor_flown": "distance flown in corridors [share]",
+    "corridor_flown": "path in corridors [share]",
     "reversals": "reversals of turn [share of steps]",
     "straight_speed": "speed going straight [px a step]",
     "turning_speed": "speed in turns [px a step]",
@@ -116,7 +116,7 @@ def per_seed_values(configurations: Configurations) -> pd.DataFrame:
 
 
 def estimates(values: pd.DataFrame) -> pd.DataFrame:
-    """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number in the same
+    """Mean and interquartile mean over seeds, with 95 % intervals, and the paper's number in the same
     metric definition.
     """
     rows = []
@@ -286,10 +286,10 @@ def compared(configurations: Iterable[Key]) -> dict[str, list[Key]]:
 
 
 def sensitivity(studies: Studies) -> pd.DataFrame:
-    """Each conclusion under each switch, beside it as decided: columns switch, conclusion, value, low, high,
-    n, flips.
+    """Each conclusion under each switch, compared with it as decided: columns switch, conclusion, value, low,
+    high, n, flips.
 
-    An algorithm that a switch does not touch is taken as decided. `flips`: the interval lies wholly on the
+    An algorithm that a switch does not touch is taken as decided. `flips`: the interval is wholly on the
     other side of zero than it does as decided; `sign` if only the estimate does.
     """
     rows = []
@@ -479,7 +479,7 @@ def best(gaps: pd.DataFrame, mode: str, algorithm: str) -> Any:
 
 
 def _limit(episodes: pd.DataFrame) -> float:
-    """At how many steps episodes were cut off; NaN where none was."""
+    """At how many steps episodes were truncated; NaN where none was."""
     return float(episodes.loc[episodes["truncated"], "steps"].max())
 
 
@@ -523,8 +523,8 @@ def effects(studies: Studies) -> pd.DataFrame:
 
 
 def one_against_many(studies: Studies) -> pd.DataFrame:
-    """What one environment a seed changes beside the mean, against many: columns measure, algorithm, and
-    `NUMBERS`.
+    """What one environment per seed changes in more than the mean, against many: columns measure, algorithm,
+    and `NUMBERS`.
 
     One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
 
@@ -628,12 +628,12 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.Data
     """How well the paper's numbers fit our prediction intervals: columns definition, configuration, within,
     numbers, score, p, farther.
 
-    Of so many numbers, so many lie within. A wide interval holds any number, so the score of a 95 % interval
-    (Gneiting and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the number; the
-    mean over numbers, each score in units of the paper's number. Less is better.
+    Of so many numbers, so many are within. A wide interval contains any number, so the score of a 95 %
+    interval (Gneiting and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the
+    number; the mean over numbers, each score in units of the paper's number. Less is better.
 
     p, farther: of a configuration's six numbers as one seed (`stats.joint`): its p value, and the share of
-    our seeds that the paper's run lies farther out than. predictions: as `frames.predictions` gives it;
+    our seeds that the paper's run is farther out than. predictions: as `frames.predictions` gives it;
     numbers without seeds are left out; evidence: by metric definition.
     """
     known = predictions[predictions["n"] > 1]

@@ -1,4 +1,4 @@
-"""My runs: those that name no study, ranked beside the scripted policy, with their curves and a typical
+"""My runs: those that name no study, ranked with the scripted policy, with their curves and a typical
 episode of each. Unfinished runs are rows too.
 """
 
@@ -35,7 +35,7 @@ SCRIPT = "reactive"
 YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
-"""What the ranking says of episodes beside their reward: the first that they have."""
+"""What the ranking says of episodes besides their reward: the first that they have."""
 
 
 Looks = Mapping[str, tuple[str, str]]
@@ -95,7 +95,7 @@ def gather(
     status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True)) | {YOU: "by hand"}
     configurations = [*own.values(), *(one for one, _ in begun.values())]
     contenders = [_contender(name, one) for name, one in zip(paths, configurations, strict=True)]
-    tell("ranking runs beside the scripted policy")
+    tell("ranking runs against the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
     groups = []
     for place, members in enumerate(_alike(contenders)):
@@ -180,7 +180,7 @@ def _contender(name: str, configuration: Configuration) -> Contender:
 
 
 def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
-    """Those that flew in one world by one protocol together; those that did not fly, with their world's."""
+    """Those that flew in one task by one protocol together; those that did not fly, with their task's."""
     groups: list[list[Contender]] = []
     for one in sorted(contenders, key=lambda one: not one.protocol):
         for members in groups:
@@ -200,7 +200,7 @@ def _group(
     looks: Looks,
     place: int,
 ) -> Group:
-    """The ranking and the figures of runs in one world; place: of the group, for the names of its files."""
+    """The ranking and the figures of runs in one task; place: of the group, for the names of its files."""
     flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -_reward(one)[0].value)
     ordered = [*flown, *(one for one in members if not len(one.episodes))]
     rows = {one.name: (_dots(one), _reward(one)[0]) for one in flown}
@@ -240,7 +240,7 @@ def _dots(one: Contender) -> Array:
 
 
 def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:
-    """The scripted policy's episodes on the layouts of a run: kept ones, or flown now and kept.
+    """The scripted policy's episodes on the layouts of a run: kept ones, or new ones that are kept.
 
     None where it cannot fly in the run's world.
     """
@@ -266,7 +266,7 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender
 
 
 def _by_hand(first: Contender, folders: Sequence[Path]) -> list[Contender]:
-    """What people flew in the paper's task, beside runs of which the first flew there; none elsewhere."""
+    """What people flew in the paper's task, if the first of the runs flew there; none elsewhere."""
     there = [path for folder in folders if (path := folder / "baselines" / "human.parquet").exists()]
     as_kept = {"layouts": "test", "max_steps": MAX_STEPS}
     if not there or first.place["task"] != "drone" or not as_kept.items() <= first.protocol.items():
@@ -302,7 +302,7 @@ def _number(found: Interval) -> str:
 
 
 def _best(first: Group, paths: Mapping[str, Path]) -> str:
-    """The best run of a group, beside the scripted policy."""
+    """The best run of a group, and the scripted policy."""
     best = next(one for one in first.contenders if one.pilot != YOU)
     if best.configuration is not None and not best.configuration.runs:
         return "No run has finished yet."
@@ -385,7 +385,7 @@ def typical(episodes: pd.DataFrame) -> tuple[int, int]:
 
 
 def contents(mine: Mine, left_out: Sequence[str], watched: bool) -> dict[str, bytes]:
-    """The files of a report on one's own runs alone; left_out: a line for each run that is not in it."""
+    """The files of a report on only one's own runs; left_out: a line for each run that is not in it."""
     told: dict[str, Any] = {
         "mine": mine,
         "pictures": pictures(mine),

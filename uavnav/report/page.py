@@ -45,19 +45,21 @@ SECTIONS = {
     "why": "Why",
     "sensitivity": "Sensitivity",
     "algorithms": "Algorithms",
-    "worlds": "Worlds",
+    "worlds": "Tasks",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-TITLE = "DQN against PPO, four activation functions: what holds of the paper"
+TITLE = "DQN against PPO, four activation functions: what replicates of the paper"
 """Of a report on other runs than the study's."""
 PREVIEWED = 240
 """Steps of the episodes that the picture of a link shows."""
 DECISIONS = [
-    re.sub(r"\[(.*?)\]\(.*?\)", r"\1", line).strip("| ").split(" | ")  # the page may lie without the docs
+    re.sub(r"\[(.*?)\]\(.*?\)", r"\1", line)
+    .strip("| ")
+    .split(" | ")  # the page may be there without the docs
     for line in (HERE / "decisions.md").read_text(encoding="utf-8").splitlines()
     if not line.startswith("|--")
 ]
@@ -178,7 +180,7 @@ def sections(content: Content) -> list[tuple[str, str]]:
 
 
 def first_episodes(content: Content) -> dict[str, Any] | None:
-    """What flies on the first screen, where at least one policy can beside the rule."""
+    """What flies on the first screen, where at least one policy can, and the scripted policy."""
     gaps = content.tables["gaps"]
     best = [frames.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
     flown = gaps.loc[[place for place in best if place is not None]].sort_values("reward", ascending=False)

@@ -1,9 +1,9 @@
 """The numbers that hand-written prose quotes, and what each sentence takes for granted of them.
 
-`templates/study.md` is the prose on the committed results: a block is a sentence or a few. Beside each number
-stands the sign that its interval must have, and beside each comparison a check. A block that does not hold
+`templates/study.md` is the prose on the committed results: a block is a sentence or a few. Each number
+has the sign that its interval must have, and each comparison has a check. A block that is not true
 over a folder's tables is left out of that folder's report, so prose is never false. Over `results/` the tests
-hold every block: whoever changes a result rewrites the sentence.
+ask that every block is: whoever changes a result rewrites the sentence.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from uavnav.stats import Interval
 
 
 class Untrue(ValueError):
-    """A sentence does not hold over these tables."""
+    """A sentence is not true of these tables."""
 
 
 class Quotes:
@@ -91,9 +91,9 @@ class Quotes:
         return self.check(found == [*grades])
 
     def check(self, holds: bool) -> str:
-        """Nothing, if something holds."""
+        """Nothing, if something is true."""
         if not holds:
-            raise Untrue("a comparison does not hold")
+            raise Untrue("a comparison is not true")
         return ""
 
     def link(self, words: str, name: str, row: int | None = None) -> str:
@@ -111,7 +111,7 @@ def block(name: str, quotes: Quotes) -> str:
     """A block of the prose, in Markdown.
 
     Raises:
-        Untrue: it does not hold, or asks for a row that is not there.
+        Untrue: it is not true, or asks for a row that is not there.
     """
     names = ("table", "quote", "claim", "grade", "check", "link")
     methods = {one: getattr(quotes, one) for one in names}
@@ -119,7 +119,7 @@ def block(name: str, quotes: Quotes) -> str:
 
 
 def prose(numbers: Mapping[str, pd.DataFrame], root: str = "") -> dict[str, str]:
-    """Every block by its name; one that does not hold is empty."""
+    """Every block by its name; one that is not true is empty."""
     found, quotes = {}, Quotes(numbers, root)
     for name in STUDY.blocks:
         try:

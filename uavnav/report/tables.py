@@ -69,7 +69,7 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
 
 
 def in_brackets(found: stats.Interval, unit: str = "", places: int | None = None) -> str:
-    """A number and its interval in plain words; the number alone where it has none. Shares and hundreds
+    """A number and its interval in plain words; only the number where it has none. Shares and hundreds
     are whole.
     """
     if places is None:
@@ -130,7 +130,7 @@ SURVIVALS: Columns = {
     "configuration": "{configuration}",
     "seeds": "{n}",
     "episodes": "{episodes:,}",
-    "cut off [share]": "{cut_off:.0%}",
+    "truncated [share]": "{cut_off:.0%}",
     "mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]",
 }
 GAPS: Columns = {
@@ -171,15 +171,15 @@ WHYS: Columns = {
     "seeds": "{n}",
 }
 AHEAD: Columns = {
-    "world": "{world}",
+    "task": "{world}",
     "best policy": "{best}",
     "reward per episode": "{value:.2f} [{low:.2f}, {high:.2f}]",
     "best script": lambda one: one["script"] or NOTHING,
     "its reward": "{scripted:.2f}",
     "ahead": lambda one: one["ahead"] or NOTHING,
-    "not above random flight": "{chance}",
+    "not above a random policy": "{chance}",
 }
-"""Who is ahead in each world: of `worlds.leaders`."""
+"""Who is ahead in each task: of `worlds.leaders`."""
 
 
 def crossed(
@@ -192,7 +192,7 @@ def crossed(
     """A row a value of one column and a column a value of another: numbers with their intervals, and the
     fewest seeds.
 
-    frame: columns value, low, high and n beside; digits: three of numbers below 1 and one of others if None;
+    frame: columns value, low, high and n too; digits: three of numbers below 1 and one of others if None;
     labels: words for the columns, in their order.
     """
 
@@ -297,7 +297,7 @@ def _about(seeds: float) -> str:
 
 
 def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
-    """Anything that has flown: a row a metric, a column each; seeds: by name, a row a seed as of
+    """Anything that was evaluated: a row a metric, a column each; seeds: by name, a row a seed as of
     `metrics.per_seed`.
     """
     rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
@@ -355,7 +355,7 @@ def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -
             "definition",
             "seeds",
             "episodes",
-            "cut off",
+            "truncated",
             *(one.words() for one in METRICS.values()),
         ]
     ]
@@ -407,7 +407,7 @@ def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
 
 
 def _counts(episodes: pd.DataFrame) -> list[str]:
-    """Seeds, episodes and the share cut off, and at how many steps."""
+    """Seeds, episodes and the share truncated, and at how many steps."""
     cut = episodes.loc[episodes["truncated"], "steps"]
     share = f"{len(cut) / len(episodes):.1%}" + (f" at {cut.max():,} steps" if len(cut) else "")
     return [str(episodes["seed"].nunique()), f"{len(episodes):,}", share]
@@ -425,10 +425,10 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequ
 
 
 def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
-    """Scripts, people and policies from elsewhere beside the study's, on test layouts: all metrics, share
-    cut off.
+    """Scripts, people and policies from elsewhere with the study's, on test layouts: all metrics, share
+    truncated.
     """
-    rows = [["who", "seeds", "episodes", "cut off", *map(str, METRICS.values())]]
+    rows = [["who", "seeds", "episodes", "truncated", *map(str, METRICS.values())]]
     learned = {name(*key): episodes_of(configuration, SAMPLED) for key, configuration in main.items()}
     for who, part in [*found.items(), *learned.items()]:
         ended = finished(part)
@@ -561,7 +561,7 @@ def run_table(configurations: list[Configuration]) -> Rows:
 
 
 def of_words(rows: Rows) -> list[bool]:
-    """Which columns of a table hold words, and which numbers."""
+    """Which columns of a table contain words, and which numbers."""
     return [any(row[place].lstrip("[")[:1].isalpha() for row in rows[1:]) for place in range(len(rows[0]))]
 
 

@@ -44,7 +44,7 @@ def inline(text: str) -> Markup:
 
 
 def anchored(where: str) -> str:
-    """Where a row of a table is on a page that holds it; other addresses as they are."""
+    """Where a row of a table is on a page that contains it; other addresses as they are."""
     return _ROW.sub(lambda found: f"#row-{found[1]}-{found[2] or ''}", where)
 
 
@@ -66,7 +66,7 @@ def cell(text: str) -> Markup:
 
 
 def as_json(data: Any) -> Markup:
-    """Data as a page's script holds it."""
+    """Data as a page's script contains it."""
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
@@ -121,7 +121,7 @@ Source = tuple[str, int, int]
 
 
 def source(figure: Figure) -> Source:
-    """A figure as a page holds it."""
+    """A figure as a page contains it."""
     width, height = (round(96 * side) for side in figure.get_size_inches())
     return Markup(style.embedded(figure)), width, height
 

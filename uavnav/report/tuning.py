@@ -1,6 +1,6 @@
 """A study that tunes each algorithm with the same budget: what it has left, default against tuned.
 
-It is read from its folder, beside the other studies (`uavnav.studies.tuning`): its configurations are in no
+It is read from its own folder (`uavnav.studies.tuning`): its configurations are in no
 other table.
 Letters: S seeds of a configuration.
 """

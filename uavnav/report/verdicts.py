@@ -27,7 +27,7 @@ ALPHA = 0.05
 POWER = 0.8
 """A part counts if the paper's own effect would be found with this probability."""
 HALF = 0.5
-"""An effect is absent if it lies within plus and minus this share of the paper's, and smaller if below it."""
+"""An effect is absent if it is within plus and minus this share of the paper's, and smaller if below it."""
 REPLICATES, REVERSES, ABSENT, SMALLER, OPEN, DEGENERATE = (
     "replicates",
     "reverses",
@@ -37,7 +37,7 @@ REPLICATES, REVERSES, ABSENT, SMALLER, OPEN, DEGENERATE = (
     "degenerate",
 )
 COUNTS, NO_RUNS, TOO_FEW = "counts", "no runs", "too few seeds"
-AGAINST_ITSELF, BESIDE = "the paper contradicts itself", "beside the claim"
+AGAINST_ITSELF, BESIDE = "the paper contradicts itself", "no part of the grade"
 TOO_SMALL = "the paper's effect is too small"
 """For as many seeds as there are."""
 """Whether a part counts for its claim's grade, and why not (`DEGENERATE` is a reason too)."""
@@ -164,7 +164,7 @@ def _grades(verdicts: Names, standings: Names) -> Names:
 
     Of the parts that count: all replicate -> replicates (in part while others wait for their runs); some ->
     in part; none, and one reverses or is absent -> does not; none, and one is smaller -> smaller; none, and
-    nothing is shown -> open. A claim all of whose parts stand beside it is context.
+    nothing is shown -> open. A claim none of whose parts is graded is context.
     """
     counting, waits = standings == COUNTS, (standings == NO_RUNS).any(-1)
     do, against, less = (
@@ -318,7 +318,7 @@ def _value(part: Part, samples: Sequence[Array]) -> float:
 
 
 def _one_order(found: Contrasts) -> Array:
-    """P values of contrasts that can be ordered: by the sign alone where nothing varies."""
+    """P values of contrasts that can be ordered: only by the sign where nothing varies."""
     p = found.above()
     return np.where(np.isnan(p), 0.5 - np.sign(found.value), p)
 

@@ -1,6 +1,6 @@
 """Where which algorithm flies: the study `worlds`, its verdicts on claims 12 to 16, its tables and figures.
 
-Its runs lie in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables.
+Its runs are in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables.
 Letters: S seeds of a configuration.
 """
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 MODE = "sampled"
 DEFAULT, TUNED = "vectorised", "fast"
-"""The presets of the study; a world's name says the second."""
+"""The presets of the study; a task's name says the second."""
 MEASURES = {
     "reward": "reward per episode",
     "greedy": "reward per episode, greedy",
@@ -49,18 +49,18 @@ MEASURES = {
 }
 
 LABELS = MEASURES | {name: one.label for name, one in OWN.items()}
-"""Columns of a world's table."""
+"""Columns of a task's table."""
 
 Table = pd.DataFrame
 Key = tuple[str, str, str]
-"""World (with the preset where it is not the default), algorithm and activation."""
+"""Task (with the preset where it is not the default), algorithm and activation."""
 
 
 class Worlds(NamedTuple):
     """What the study says."""
 
     seeds: dict[Key, pd.DataFrame]  # a row a seed: `MEASURES`, those of `metrics.OWN`, and what claims ask
-    scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a world's scripts
+    scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a task's scripts
     # ladder and rung -> the same of the scripts there
     rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]
     runs: pd.DataFrame  # how each run was made, a row a run
@@ -68,7 +68,7 @@ class Worlds(NamedTuple):
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in some folders of a report, and the rows of scripts in its worlds; None where there is
+    """Read the study in some folders of a report, and the rows of scripts in its tasks; None where there is
     none.
 
     Raises:
@@ -113,7 +113,7 @@ def _of_scripts(
     places: Mapping[str, Protocol | None],
     seeds: Mapping[Key, Table],
 ) -> tuple[dict[tuple[str, str], Table], dict[tuple[str, float], dict[str, Table]], list[str]]:
-    """What scripts reach in each world and on each rung that the paper's world flew, and a line for
+    """What scripts reach in each task and on each rung that policies of the paper's flew, and a line for
     missing rows.
     """
     from uavnav.evaluation.scripts import rows_of_scripts
@@ -130,7 +130,7 @@ def _of_scripts(
     rungs = {}
     for name in names:
         if (protocol := places[name]) is None:
-            left_out.append(f"{name}: no rows of scripts, which fly with the usual settings of a task alone")
+            left_out.append(f"{name}: no rows of scripts, which fly only with the usual settings of a task")
             continue
         scripted |= {(name, rule): own for rule, own in flown_as(protocol).items()}
     if (protocol := places.get("drone")) is not None:
@@ -156,12 +156,12 @@ def _made(world: str, run: Run) -> dict[str, object]:
 
 
 def _rank(key: Key) -> tuple[object, ...]:
-    """Where a configuration stands in its world: the default presets first."""
+    """Where a configuration stands in its task: the default presets first."""
     return key[0] != _place(key[0]), *order(key[1:])
 
 
 def _digits_last(name: str) -> tuple[str, float]:
-    """A world's name as words and a number, so that density-4 comes before density-16."""
+    """A task's name as words and a number, so that density-4 comes before density-16."""
     words, _, number = name.partition("-")
     return (words, float(number)) if number.isdecimal() else (name, 0.0)
 
@@ -171,7 +171,7 @@ def _place(world: str) -> str:
 
 
 def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
-    """Where a run was trained, how scripts fly there, and its table of seeds: of the study's episodes alone.
+    """Where a run was trained, how scripts fly there, and its table of seeds: only of the study's episodes.
 
     Raises:
         RunError: its world is not known, or it was not flown as in the study.
@@ -211,7 +211,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
 
 def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
-    """The measures of some episodes, a row a seed. An episode that reaches its goal counts as cut off
+    """The measures of some episodes, a row a seed. An episode that reaches its goal counts as truncated
     there.
     """
     ended = collided(flown)
@@ -230,7 +230,7 @@ _NONE = pd.DataFrame()
 
 @dataclass(eq=False)
 class Evidence:
-    """What the claims of the discussion ask (an `Evidence` of `claims`); means over worlds are of
+    """What the claims of the discussion ask (an `Evidence` of `claims`); means over tasks are of
     configurations in all.
     """
 
@@ -314,7 +314,7 @@ def _named(key: Key) -> str:
 
 
 def _rewards(found: pd.DataFrame) -> dict[str, tuple[dict[str, Interval], dict[str, Interval]]]:
-    """Rewards of each world's learned configurations, the best first, and of its scripts."""
+    """Rewards of each task's learned configurations, the best first, and of its scripts."""
     rewards = {}
     for world, mine in found[found["metric"] == "reward"].groupby("world", sort=False):
         both = {row[1]: Interval(*row[3:]) for row in mine.itertuples(index=False)}
@@ -326,11 +326,11 @@ def _rewards(found: pd.DataFrame) -> dict[str, tuple[dict[str, Interval], dict[s
 
 
 def leaders(found: pd.DataFrame) -> pd.DataFrame:
-    """Who is ahead in each world, by reward per episode: columns world, best, value, low, high, script,
+    """Who is ahead in each task, by reward per episode: columns world, best, value, low, high, script,
     scripted, ahead and chance. found: of `summary`.
 
     A script is ahead if it is above every policy's interval, a policy if its interval is above every script.
-    `chance` has the policies whose interval is not above random flight's.
+    `chance` has the policies whose interval is not above a random policy's.
     """
     rows = []
     for world, (learned, scripts) in _rewards(found).items():
@@ -355,7 +355,7 @@ def _top(one: Interval) -> float:
 
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
-    """The configurations that were trained in the paper's world across a ladder, means of their activations,
+    """The configurations that were trained in the paper's task across a ladder, means of their activations,
     and the scripts; None where no configuration was.
     """
     from uavnav.evaluation import across

@@ -56,11 +56,11 @@ STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
 WORKERS = "workers"
 NO_RUNS = ("checkpoint", WORKERS, *LOG_FOLDERS)
-"""Folders that hold no runs."""
+"""Folders without runs."""
 OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
 DEPTHS = ("*", "*/*", "*/*/*", "*/*/*/*")
-"""Where a folder of runs may hold them."""
+"""Where a folder of runs may have them."""
 SILENCE = 60.0
 """Seconds after which a run that has written no progress no longer runs."""
 LONGEST_NAME = 80
@@ -73,7 +73,7 @@ Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 
 class Config(Facts):
-    """What every config.yaml holds, and what some do."""
+    """What every config.yaml contains, and what some do."""
 
     algorithm: Name
     activation: Name
@@ -91,7 +91,7 @@ class Config(Facts):
 
 
 class Meta(Facts):
-    """What meta.json holds, as far as somebody reads it."""
+    """What meta.json contains, as far as somebody reads it."""
 
     status: str = ""
     frames: Annotated[Count, Field(ge=1)] | None = None
@@ -110,7 +110,7 @@ class Meta(Facts):
 
 
 class Progress(Facts):
-    """What progress.json holds."""
+    """What progress.json contains."""
 
     frames: Count
     total: Count
@@ -221,7 +221,7 @@ def default_folder(algorithm: str, preset: str, activation: str, changes: Mappin
 
 
 def runs_below(folder: Path) -> str:
-    """What is wrong with a folder that holds runs and is none, with their names; else empty."""
+    """What is wrong with a folder that contains runs and is none, with their names; else empty."""
     if not os.path.isdir(folder) or os.path.lexists(folder / "config.yaml"):
         return ""
     configs = (one for depth in DEPTHS for one in folder.glob(f"{depth}/config.yaml"))
@@ -230,11 +230,11 @@ def runs_below(folder: Path) -> str:
         return ""
     n = max(1, sum(length < LONG for length in itertools.accumulate(len(name) + 2 for name in names)))
     more = f" and {len(names) - n} more" if names[n:] else ""
-    return f"holds runs and is none; give one of {', '.join(names[:n])}{more}"
+    return f"contains runs and is none; give one of {', '.join(names[:n])}{more}"
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
-    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no
+    """What a run's config.yaml or meta.json contains; raises a RunError where it is missing, damaged, or no
     run's.
     """
     said: Any
@@ -292,15 +292,15 @@ def heard(told: Mapping[str, Any], now: float) -> bool:
 def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
     """Every folder with a config.yaml in or below a folder, in order of name, hidden ones aside; and strays.
 
-    Strays are tables that lie where no run is, one line each.
+    Strays are tables where no run is, one line each.
 
     Raises:
-        RunError: it is missing, a file, or holds no run.
+        RunError: it is missing, a file, or contains no run.
     """
     if not os.path.isdir(folder):  # Path.is_dir would raise for a name that is too long
         beside = [name for name in ("runs", "results") if os.path.isdir(name)]
         problem = "is a file" if os.path.exists(folder) else "there is no such folder"
-        raise RunError(f"{folder}: {problem}{did_you_mean(folder, beside)}; give a folder that holds runs")
+        raise RunError(f"{folder}: {problem}{did_you_mean(folder, beside)}; give a folder that contains runs")
     found, strays = [], []
     for path, names, there in os.walk(folder):
         none = (*NO_RUNS, TRIALS) if Path(path).name == TUNING else NO_RUNS
@@ -311,8 +311,8 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
             strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")
         elif Path(path).name not in OF_REPORTS:
             strays += [
-                f"{path}/{name}: lies where no run is" for name in sorted(there) if name.endswith(".parquet")
+                f"{path}/{name}: is where no run is" for name in sorted(there) if name.endswith(".parquet")
             ]
     if not found:
-        raise RunError(f"{folder}: holds no run; give a folder that does, or train one: uavnav train ppo")
+        raise RunError(f"{folder}: contains no run; give a folder that does, or train one: uavnav train ppo")
     return found, strays

@@ -112,7 +112,7 @@ def within(
     """A column's sum per frame in windows [low, high) of frames: a row a seed, a column a window.
 
     An episode's sum is spread evenly over its frames, but for what the collision at its end brings, which
-    lies in its last frame. collision: how much that is.
+    is in its last frame. collision: how much that is.
     """
     edges, place = np.unique(np.asarray(windows, dtype=np.float64), return_inverse=True)
     owner, seeds = pd.factorize(episodes["seed"], sort=True)

@@ -4,7 +4,7 @@
 
 What is written maps `observation` [N, 30] float32 to `values` [N, 100]: logits or Q values, whose largest is
 the greedy action. The file's metadata say which, how the policy acted in training, and in which task. Neither
-file holds a pickle of code, nor where it was written.
+file contains a pickle of code, nor where it was written.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SHARE = 10
 """The newest frames are one of so many parts of a run."""
 MOST_TOLD = 1_000
-"""Seeds that are told of, at most, as the files of settings that hold them are small."""
+"""Seeds that are told of, at most, as the files of settings that contain them are small."""
 POINTS = 12
 """Of a run's curve."""
 BARS = "▁▂▃▄▅▆▇"

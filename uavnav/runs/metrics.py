@@ -76,7 +76,7 @@ METRICS: dict[str, Metric] = {
 
 
 class Own(NamedTuple):
-    """A metric that only some worlds or layouts have, over all episodes of a seed."""
+    """A metric that only some tasks or layouts have, over all episodes of a seed."""
 
     label: str
     columns: tuple[str, ...]  # that a table must have
@@ -103,7 +103,7 @@ PER_EPISODE = {
     "collisions": "collisions per 1,000 px",
     "survive": "episodes that reach the time limit [%]",
 }
-"""What episodes in any world are judged by, in words with its unit; those of `OWN` that rows tell come on
+"""What episodes in any task are judged by, in words with its unit; those of `OWN` that rows tell come on
 top.
 """
 COLLISIONS_PER = 1000.0  # px

@@ -90,7 +90,7 @@ class Policy:
 
     @property
     def world(self) -> World:
-        """The world that it was trained in."""
+        """The `World` that it was trained in."""
         return self.task.world
 
     @property
@@ -175,7 +175,7 @@ def seeds(path: str | Path) -> list[int]:
 
 
 def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
-    """What a policy file holds: the tensors of all seeds by name, and its header.
+    """What a policy file contains: the tensors of all seeds by name, and its header.
 
     Raises:
         PolicyError: the file is missing or damaged.
@@ -213,11 +213,11 @@ def load_policy(
     if is_zip(run):
         if seed is not None:
             raise PolicyError(
-                f"{run}: seed={seed}; a zip of Stable-Baselines3 holds one policy: give no seed"
+                f"{run}: seed={seed}; a zip of Stable-Baselines3 contains one policy: give no seed"
             )
         return _from_sb3(Path(run), greedy, activation)
     if activation is not None:
-        raise PolicyError(f"{run}: activation={activation}; a run knows its own: give it for a .zip alone")
+        raise PolicyError(f"{run}: activation={activation}; a run knows its own: give it only for a .zip")
     return next(_policies(run, None if seed is None else [seed], greedy))
 
 
@@ -247,7 +247,7 @@ def _policies(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Ite
     acts, head = header.acts or (how and how.acts), header.head or (how and how.head)
     task = _trained_in(path, header, acts, head)
     if not header.seeds:
-        raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
+        raise PolicyError(f"{path}: contains no seed; give the policy of a finished run")
     seeds = header.seeds if seeds is None else seeds
     if unknown := [seed for seed in seeds if seed not in header.seeds]:
         choices = f"{header.seeds[0]} ... {header.seeds[-1]}"
@@ -350,7 +350,7 @@ def _check_sizes(path: Path, inputs: int, outputs: int, task: WrappedTask) -> No
 # -- Stable-Baselines3 ---------------------------------------------------------------------------------------
 
 SB3_LAYERS = {"ppo": ("mlp_extractor.policy_net.", "action_net."), "dqn": ("q_net.q_net.", "")}
-"""Where a zip keeps the hidden layers that choose actions, and the last one if it lies apart."""
+"""Where a zip keeps the hidden layers that choose actions, and the last one if it is apart."""
 SB3_DEFAULTS = {"ppo": "tanh", "dqn": "relu"}
 """The activation of its MlpPolicy, where none is given."""
 SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
@@ -410,7 +410,7 @@ def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple
 
 def _sb3_activation(path: Path, algorithm: str) -> str | None:
     """The activation that the settings in a zip say in plain text, or the default of Stable-Baselines3's own
-    policies; else None. The pickles beside that text are not touched.
+    policies; else None. The pickles next to that text are not touched.
     """
     try:
         with zipfile.ZipFile(path) as archive, archive.open(SB3_SETTINGS) as file:
@@ -426,7 +426,7 @@ def _sb3_activation(path: Path, algorithm: str) -> str | None:
 
 
 def _sb3_tensors(path: Path) -> dict[str, Tensor]:
-    """The weights in a zip of Stable-Baselines3, by torch's own reader of tensors alone."""
+    """The weights in a zip of Stable-Baselines3, by torch's own reader, which reads only tensors."""
     try:
         with zipfile.ZipFile(path) as archive, archive.open(SB3_WEIGHTS) as file:
             content = file.read(SB3_MAX_BYTES + 1)  # whatever the zip says of its size

@@ -50,7 +50,7 @@ def rows() -> list[dict[str, Any]]:
 
 
 def is_shipped(run: str | Path) -> bool:
-    """Whether a word names a policy that ships; what lies at this path comes first."""
+    """Whether a word names a policy that ships; what is at this path comes first."""
     return not os.path.exists(run) and str(run) in shipped()
 
 

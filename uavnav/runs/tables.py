@@ -32,7 +32,7 @@ PLAIN = (
     *(pa.types.is_boolean, pa.types.is_integer, pa.types.is_floating, pa.types.is_null),
     *(pa.types.is_string, pa.types.is_large_string),
 )
-"""What a column may hold."""
+"""What a column may contain."""
 
 
 class RunError(OneLineError, RuntimeError):
@@ -61,7 +61,7 @@ def lock(path: Path) -> Iterator[None]:
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """A table's rows as JSON can hold them: null where a number is missing."""
+    """A table's rows as JSON can express them: null where a number is missing."""
     return list(json.loads(table.to_json(orient="records", double_precision=15)))
 
 
@@ -135,7 +135,7 @@ def _checked(content: bytes, file: pq.ParquetFile, columns: Collection[str] | No
     if len({*schema.names}) < len(schema.names) or not {*(columns or ())} <= {*schema.names}:
         raise ValueError("its columns have no names of their own")
     if facts.num_columns > MOST_COLUMNS or not all(any(one(field.type) for one in PLAIN) for field in schema):
-        raise ValueError("its columns do not hold plain values")
+        raise ValueError("its columns have other than plain values")
     groups = [facts.row_group(index) for index in range(facts.num_row_groups)]
     rows = max(facts.num_rows, sum(max(group.num_rows, 0) for group in groups))
     _check_unfolded(
@@ -160,7 +160,7 @@ def _check_unfolded(content: bytes, size: int) -> None:
 
 
 def _attrs(metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
-    """What pandas wrote beside a table's columns: names with plain values."""
+    """What pandas wrote besides a table's columns: names with plain values."""
     said = files.parsed(metadata.get(b"PANDAS_ATTRS", b"{}"))
     if not isinstance(said, dict) or not all(isinstance(one, (str, int, float)) for one in said.values()):
         raise ValueError("its header is none")

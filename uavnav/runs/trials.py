@@ -18,7 +18,7 @@ TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
 by trial.
 """
 DEFAULT = "default"
-"""Settings of rows of a comparison, beside `TUNED`."""
+"""Settings of rows of a comparison, other than `TUNED`."""
 DIFFERENCE = "tuned − default"
 """Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"
@@ -49,7 +49,7 @@ def winner(trial: int) -> str:
 
 
 def folders(of: Sequence[Path]) -> list[Path]:
-    """The folders of studies that tuned: `tuning` beside other studies, or `tuning/tuning`."""
+    """The folders of studies that tuned: `tuning` among other studies, or `tuning/tuning`."""
     places = [place for folder in of for place in (folder / TUNING, folder / TUNING / TUNING)]
     return [place for place in places if (place / TABLE).is_file()]
 
@@ -64,7 +64,7 @@ def read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
         return pd.DataFrame(columns=list(columns))
     table = read_csv(path, columns, AGAIN)
     if columns == COLUMNS and not all(_is_trial(row) for row in table.to_dict("records")):
-        raise RunError(f"{path}: holds other rows than trials; {AGAIN}")
+        raise RunError(f"{path}: contains other rows than trials; {AGAIN}")
     return table
 
 

@@ -14,7 +14,7 @@ or one of yours.
     configurations:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in
                                 # {out}/rate-0.001/ppo/tanh and so on
-    scripts: baselines          # scripted policies fly in the world of each configuration too, as it does;
+    scripts: baselines          # scripted policies fly in the task of each configuration too, as it does;
                                 # their rows go there
     tune: ...                   # settings that are searched for first: `search`
 

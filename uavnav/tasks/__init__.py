@@ -1,3 +1,3 @@
-"""The worlds as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripted
+"""The tasks as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripted
 rules.
 """

@@ -29,7 +29,7 @@ WITH_GOAL = GOAL.observation_size
 
 
 def uniform_random(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Every action equally likely: the free check of the world (90 % turns, 10 % stops, 4.5 px a step)."""
+    """Every action equally likely: a check of the environment (90 % turns, 10 % stops, 4.5 px a step)."""
     return torch.randint(WORLD.n_actions, observation.shape[:-1], generator=generator)
 
 
@@ -233,7 +233,7 @@ def chosen_among(world: World) -> tuple[int, int]:
 
 
 def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
-    """The policy that a name stands for in a task: a box has its own straight flight, and `reactive` is a
+    """The policy that a name stands for in a task: a box has its own `straight`, and `reactive` is a
     rule for what stands still, what moves, or a goal, that knows the task's world. Other policies are as they
     are.
 

@@ -27,7 +27,7 @@ class LayoutError(OneLineError, ValueError):
 MOST_OBSTACLES = 20_000_000
 """Of all layouts of a layout file: half a gigabyte where they are drawn."""
 DRAWS = 1_000
-"""Places that an obstacle may try; the paper's world refuses one in eleven."""
+"""Places that an obstacle may try; the paper's task refuses one in eleven."""
 
 
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:

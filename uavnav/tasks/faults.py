@@ -1,5 +1,5 @@
-"""What goes wrong between the world and a policy: noise, lost echoes, late observations, an actuator that
-sticks.
+"""What goes wrong between the environment and a policy: noise, lost echoes, late observations, an actuator
+that sticks.
 
 The settings are read without torch. The functions are pure; the random numbers come in as tensors, which a
 task draws (`wrapper.WrappedTask.draw`). Letters: B the batch shape (any, also none), S slots of an

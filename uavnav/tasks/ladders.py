@@ -31,11 +31,11 @@ class Ladder(NamedTuple):
     rungs: tuple[float, ...]
     task: Callable[[WrappedTask, float, str], WrappedTask]  # of a policy, rung, split -> what it flies there
     measure: Measure | None = None
-    of: tuple[str, ...] = ()  # kinds of layouts whose worlds have it (`layouts.kind_of`); by default all
+    of: tuple[str, ...] = ()  # kinds of layouts whose tasks have it (`layouts.kind_of`); by default all
     any_task: bool = True  # also one of a plugin; else its functions would be lost, as another class is flown
 
     def fits(self, task: WrappedTask) -> bool:
-        """Whether a policy that was trained in a task can be flown on it."""
+        """Whether a policy that was trained in a task can be evaluated on it."""
         return (not self.of or layouts.kind_of(task.world) in self.of) and (
             self.any_task or type(task.task) in (Task, Moving, Space, SpaceMoving)
         )
@@ -47,22 +47,22 @@ def sets_of(ladder: str, rung: float, split: str = "test") -> str:
 
 
 def density(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's world with so many obstacles a layout."""
+    """The policy's task with so many obstacles a layout."""
     return task.on(sets_of("density", rung, split), task.max_steps)
 
 
 def gaps(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's world with four columns of circles, each with a gap of so many px."""
+    """The policy's task with four columns of circles, each with a gap of so many px."""
     return task.on(sets_of("slalom", rung, split), task.max_steps)
 
 
 def arc(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's world with a sensor of so many degrees."""
+    """The policy's task with a sensor of so many degrees."""
     return task.replace(world=task.world.replace(sensor_arc=rung)).on(split, task.max_steps)
 
 
 def reach(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's world with a sensor that reaches so many px; a proximity is still 1 at the reach of
+    """The policy's task with a sensor that reaches so many px; a proximity is still 1 at the reach of
     its training.
     """
     flown = task.replace(world=task.world.replace(sensor_radius=rung))
@@ -75,7 +75,7 @@ def reached(task: WrappedTask, own: float) -> WrappedTask:
 
 
 def speed(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's world with obstacles of up to so many px a step: the split of 2 px a step, its
+    """The policy's task with obstacles of up to so many px a step: the split of 2 px a step, its
     velocities scaled.
     """
     kind = SpaceMoving if isinstance(task.task, Space) else Moving
@@ -89,7 +89,7 @@ def speed(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
 
 
 def fault(name: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
-    """The policy's world with one fault of the sensor or the actuator at a value; its other faults stay."""
+    """The policy's task with one fault of the sensor or the actuator at a value; its other faults stay."""
 
     def at(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
         return task.replace(faults=task.faults.replace(**{name: rung})).on(split, task.max_steps)

@@ -2,7 +2,7 @@
 `test`.
 
 A layout file is a float32 tensor [n, k, 3] of (x, y, radius) in px, stored as safetensors with a header that
-says how it was made; other worlds have more columns. `uavnav layouts` writes the three that ship with the
+says how it was made; other tasks have more columns. `uavnav layouts` writes the three that ship with the
 package, or others; see its --help.
 """
 
@@ -76,7 +76,7 @@ SHAPES = (*DRAWN_BY, "sensor_radius", "sensor_arc", "n_slots")
 """The same, and those that its size must fit; a header has those that are not as usual."""
 
 RUNGS = ("density", "slalom")
-"""By difficulty: `density-12/test` has 12 obstacles a layout; `slalom-80/test`, of the paper's world,
+"""By difficulty: `density-12/test` has 12 obstacles a layout; `slalom-80/test`, of the paper's task,
 gaps of 80 px.
 """
 
@@ -160,7 +160,7 @@ def load(layouts: str | Path, world: World | None = None) -> Tensor:
     world: whose split it is; the paper's by default.
 
     Returns:
-        Tensor [n, k, 3] float32 of (x, y, radius) px; in other worlds as their tasks say.
+        Tensor [n, k, 3] float32 of (x, y, radius) px; in other tasks as they say.
 
     Raises:
         LayoutError: there is no such file, or its header, shape, numbers or checksum are not right.

@@ -1,7 +1,7 @@
 """Circles that fly straight on and bounce off the edges of the window: where each is, is a closed function of
 the step.
 
-A layout file has rows (x, y, radius, vx, vy): a circle as in the paper's world, and its velocity [px a step]
+A layout file has rows (x, y, radius, vx, vy): a circle as in the paper's task, and its velocity [px a step]
 at step 0.
 Letters: B the batch shape, K obstacles of a layout.
 """

@@ -1,4 +1,4 @@
-"""Four columns of circles across the window, each with one gap: a layout file for the paper's world, without
+"""Four columns of circles across the window, each with one gap: a layout file for the paper's task, without
 new physics.
 
 A layout has 48 places, twelve a column from the bottom up. A place without a circle is `NOWHERE`, far out

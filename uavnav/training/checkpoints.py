@@ -1,6 +1,6 @@
 """Snapshots of a run that is under way: whole or not there, checked when read, never unpickled.
 
-A folder holds the two newest states and, for DQN, the replay buffer as a chain of chunks to which each
+A folder contains the two newest states and, for DQN, the replay buffer as a chain of chunks to which each
 snapshot adds what is new. A file's name ends in the first half of its SHA-256, so that a cut or a flipped
 byte shows.
 
@@ -38,7 +38,7 @@ KEPT = 2
 """States that are kept: the newest, and the one before in case that the newest is damaged."""
 
 CHUNK_BYTES = 8 * 2**20
-"""Of the replay buffer that one file holds at most: what is written is copied twice on its way."""
+"""Of the replay buffer in one file, at most: what is written is copied twice on its way."""
 
 Nested = Mapping[str, Any]
 """Tensors and further such mappings by name."""
@@ -55,7 +55,7 @@ class Stateful(Protocol):
 
 
 class Header(files.Facts):
-    """What a state file says beside its tensors. Its chunks are files of its own folder."""
+    """What a state file says besides its tensors. Its chunks are files of its own folder."""
 
     facts: dict[str, Any]
     chunks: list[Annotated[str, Field(pattern=r"^replay-\d{12}-[0-9a-f]{32}\.safetensors$")]]
@@ -63,13 +63,13 @@ class Header(files.Facts):
 
 
 class Frames(files.Facts):
-    """What every snapshot says in its facts: the frames per seed that lie behind it."""
+    """What every snapshot says in its facts: the frames per seed before it."""
 
     frames: Count
 
 
 class Snapshot(NamedTuple):
-    """What a state file holds."""
+    """What a state file contains."""
 
     path: Path
     state: dict[str, Any]
@@ -78,7 +78,7 @@ class Snapshot(NamedTuple):
 
     @property
     def frames(self) -> int:
-        """Per seed, that lie behind it."""
+        """Per seed, before it."""
         return int(self.facts["frames"])
 
 
@@ -260,7 +260,7 @@ def _first_row(chunk: str) -> int:
 
 
 def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:
-    """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the
+    """Append rows to a buffer so that they are where they were: row `first` at its place in the
     ring.
     """
     rows = chunk["rows"]

@@ -28,13 +28,13 @@ from uavnav.tasks.wrapper import WrappedTask
 TASK = "drone"
 """The task of a run that names none."""
 STEP_BYTES = 60
-"""Of a step of an iteration beside its two observations: an episode's counts, action, reward and flags."""
+"""Of a step of an iteration besides its two observations: an episode's counts, action, reward and flags."""
 SEED_BYTES = 80_000
 """The order in which a seed takes the layouts of the split `train`."""
 ROW_COLUMNS = 5
 """Numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's."""
 ROW_BYTES = 600
-"""What the rows of all seeds take beside their numbers, as one mapping of arrays."""
+"""What the rows of all seeds take besides their numbers, as one mapping of arrays."""
 PARTS = ("world", "faults")
 """The fields that are settings of their own, whose fields a command line sets as `world.sensor_arc`."""
 DOTTED = tuple(f"{name}." for name in PARTS)
@@ -81,7 +81,7 @@ class TrainConfig(Settings):
     )
     max_steps: Count | None = key(None, "time limit of an episode, which truncates it", "steps")
     reward: Annotated[str, AfterValidator(OneOf(REWARDS))] = key("eq14", "what a step earns")
-    task: Annotated[str, AfterValidator(OneOf(TASKS))] = key(TASK, "what is flown")
+    task: Annotated[str, AfterValidator(OneOf(TASKS))] = key(TASK, "what the drone must do")
     stack: Whole = key(1, "newest ones that a policy sees at once", "observations", ge=1, le=MOST_REMEMBERED)
     world: SerializeAsAny[World] = key(None, "fields of the world that differ from the task's own")
     faults: Faults = key(None, "faults of the sensor and the actuator")
@@ -145,7 +145,7 @@ class TrainConfig(Settings):
             own = given.get(whole) or {}
             if isinstance(own, Settings):
                 raise ConfigError(
-                    f"there is no key '{name}' beside {whole}={type(own).__name__}; give one of them"
+                    f"there is no key '{name}' with {whole}={type(own).__name__}; give one of them"
                 )
             if isinstance(own, Mapping):
                 given[whole] = {**own, field: given.pop(name)}
@@ -303,7 +303,7 @@ class TrainConfig(Settings):
 
 
 def plain(config: TrainConfig) -> dict[str, Any]:
-    """Its settings as YAML and JSON hold them, with lists for tuples."""
+    """Its settings as YAML and JSON have them, with lists for tuples."""
     return {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in config.model_dump().items()

@@ -85,7 +85,7 @@ class Display:
 
 @contextlib.contextmanager
 def episodes(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """A bar for an evaluation of n episodes, on a terminal alone, that goes when they have ended.
+    """A bar for an evaluation of n episodes, only on a terminal, that goes when they have ended.
 
     Yields:
         What is to be told each step's number and how many episodes go on after it.

@@ -1,9 +1,9 @@
 """Live logs of a run, through TorchRL's loggers for TensorBoard and Weights & Biases.
 
-A log lies in the run's folder, in `tensorboard/` or `wandb/`. It receives each row of progress.parquet when
+A log is in the run's folder, in `tensorboard/` or `wandb/`. It receives each row of progress.parquet when
 the row is written: every column as `column/seed 3` against frames per seed, and `reward`, the mean over the
-seed's last 100 episodes. If seeds are spread over processes, their rows go to the parent process, which alone
-logs. Logging draws no random number and is not part of a run's configuration.
+seed's last 100 episodes. If seeds are spread over processes, their rows go to the parent process, and only
+that logs. Logging draws no random number and is not part of a run's configuration.
 
 Every log is complete: a resumed run opens a new log and first writes the rows of its snapshot.
 

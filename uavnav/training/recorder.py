@@ -46,7 +46,7 @@ Log = Callable[[Columns], None]
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
 SNAPSHOT_FORMAT = 7
-"""Raised when what a snapshot holds of a learner changes."""
+"""Raised when what a snapshot contains of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
 CHECKPOINT_SHARE = 0.04
@@ -64,7 +64,7 @@ class Tables(files.Facts):
 
 
 class Rows(files.Facts):
-    """What a run notes in a snapshot, beside its frames."""
+    """What a run notes in a snapshot, besides its frames."""
 
     wall_seconds: Annotated[float, Field(ge=0)]
     columns: Tables
@@ -84,7 +84,7 @@ class Interrupted(RunError):
 
 
 class OtherRun(RunError):
-    """A folder holds a run of another configuration."""
+    """A folder contains a run of another configuration."""
 
 
 def free_folder(config: TrainConfig) -> Path:
@@ -111,7 +111,7 @@ class Recorder:
     Args:
         path: the run's folder.
         config: of the run.
-        overwrite: start anew where the folder holds a run.
+        overwrite: start anew where the folder contains a run.
         checkpoint_seconds: the least time between two snapshots.
         until: stop after so many frames per seed, as if by a signal.
         log: is told every row of progress, first those of the snapshot from which the run goes on.
@@ -177,14 +177,16 @@ class Recorder:
         if not os.access(path, os.W_OK):
             raise RunError(f"out={path}: is not a folder that can be written; give one that is")
         if not os.path.lexists(path / "config.yaml"):
-            raise RunError(f"out={path}: holds other files and no run; give a new or empty folder")
+            raise RunError(f"out={path}: contains other files and no run; give a new or empty folder")
         there = read_settings(path / "config.yaml", "give a new or empty folder")
         if self._overwrite:
             return False
         meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
         if there.get("task", self.config.task) not in TASKS:
             needed = plugins.missing(meta.get("plugins", {}))
-            raise OtherRun(f"out={path}: holds a run with task={there['task']}; give another folder{needed}")
+            raise OtherRun(
+                f"out={path}: contains a run with task={there['task']}; give another folder{needed}"
+            )
         if there["algorithm"] == self.config.algorithm:
             there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
         same_layouts = meta.get("layouts", self.meta["layouts"]) == self.meta["layouts"]
@@ -193,7 +195,7 @@ class Recorder:
                 key == "layouts" and meta and same_layouts
             ):
                 raise OtherRun(
-                    f"out={path}: holds a run with {key}={there.get(key)}, not {self._described.get(key)};"
+                    f"out={path}: contains a run with {key}={there.get(key)}, not {self._described.get(key)};"
                     " give another folder, or overwrite=true"
                 )
         if not same_layouts:
@@ -205,7 +207,7 @@ class Recorder:
         if meta.get("status") != FINISHED:
             self._before = meta if any((path / name).is_dir() for name in UNFINISHED) else {}
             return False
-        self._overwrite = not os.path.lexists(path / POLICY)  # a repository may keep a run's rows alone
+        self._overwrite = not os.path.lexists(path / POLICY)  # a repository may keep only a run's rows
         return not self._overwrite
 
     def __enter__(self) -> Self:
@@ -262,7 +264,7 @@ class Recorder:
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        gone = self.heartbeat.gone  # what lies there now is another run's
+        gone = self.heartbeat.gone  # what is there now is another run's
         if kind is not None and self.meta.get("status") != FINISHED and not gone:
             self.meta |= {
                 "status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"
@@ -285,7 +287,7 @@ class Recorder:
         signal.signal(number, self._handlers[number])
 
     def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
-        """Set the parts to the newest usable snapshot, where there is one, and tell the log what lies behind
+        """Set the parts to the newest usable snapshot, where there is one, and tell the log what was before
         the run.
 
         Returns:

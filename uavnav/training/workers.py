@@ -57,7 +57,7 @@ class Worker:
 
     Args:
         folder: theirs, by the name that it was given last.
-        config: the run's, with these seeds alone.
+        config: the run's, with only these seeds.
     """
 
     folder: Path
@@ -70,7 +70,7 @@ class Worker:
     done: bool = False
 
     def file(self, end: str) -> Path:
-        """One of the files beside its folder."""
+        """One of the files next to its folder."""
         return self.folder.with_name(f"{self.folder.name}.{end}")
 
     def take(self) -> None:
@@ -95,7 +95,7 @@ class Worker:
 
         Args:
             threads: of its process.
-            evaluation: how it is flown in the end, if it is.
+            evaluation: how it is evaluated in the end, if it is.
             how: further arguments of its `Recorder`.
 
         Returns:
@@ -257,7 +257,7 @@ def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Ite
     try:
         for worker in workers:
             command = [sys.executable, "-c", begin, *worker.prepare(threads, **how)]
-            # what is printed goes to stderr; signals of the terminal come to this process alone
+            # what is printed goes to stderr; signals of the terminal come only to this process
             process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=2, process_group=0)
             processes.append(process)
         yield processes

@@ -1,4 +1,4 @@
-"""The world as a picture: one state as RGB, episodes side by side as a film, without a screen.
+"""The environment as a picture: one state as RGB, episodes side by side as a film, without a screen.
 
 `uavnav render RUN... --out flight.gif` draws what trained policies do on the same layout.
 """
@@ -101,7 +101,7 @@ def load_pilots(
     activation: of the zips' hidden layers; task: that scripted policies fly, where no run is named.
 
     Raises:
-        PolicyError: no such run or seed, or an activation for runs alone.
+        PolicyError: no such run or seed, or an activation and no .zip.
         ValueError: there is no such task, or the runs fly layouts of several.
     """
     zips, pilots = policies.zips(words, activation), []

@@ -3,7 +3,7 @@
 Numbers are rounded to what a picture shows, put into bytes field by field (`FIELDS`), deflated, and written
 as base64. Action values have 64 levels between the least and the greatest of their step: noise in the lowest
 bits deflates worst (of DQN's 100 values a step about 85 bytes are left with 256 levels, 50 with 64, 40 with
-32). A page then holds 40 kB of text for 1,000 steps of PPO, 110 of DQN.
+32). A page then contains 40 kB of text for 1,000 steps of PPO, 110 of DQN.
 
 Letters: R rows, one an episode, T steps of an episode, K obstacles of a layout.
 """
@@ -106,17 +106,17 @@ def record(
     split.
 
     Args:
-        configurations: whose policies fly; those of one world and reward as one batch.
+        configurations: whose policies fly; those of one task and reward as one batch.
         n_seeds: seeds a configuration, the lowest that can be loaded.
         n_layouts: layouts.
-        max_steps: an episode that lasts so long is cut off.
+        max_steps: an episode that lasts so long is truncated.
 
     Returns:
-        What the player reads, as JSON can hold it: `world` (its constants), `layouts` (of [x, y, radius]
+        What the player reads, as JSON: `world` (its constants), `layouts` (of [x, y, radius]
         px; None for those that are not shown), `actions` ([degrees, px] of each), `fields` (`FIELDS` in the
         order of the bytes, and the columns of each), `configurations` (algorithm, label, mode, what its
         values are, and `episodes` with seed, layout, steps, reward, how it ended, and the bytes; elsewhere
-        than in the paper's world also `_place`), `rule` (episodes of the scripted policy), and `left_out`: a
+        than in the paper's task also `_place`), `rule` (episodes of the scripted policy), and `left_out`: a
         line for each policy that cannot fly.
 
     Raises:
@@ -210,7 +210,7 @@ def together(recorded: dict[str, Any], configurations: Mapping[str, str], rule: 
     tanh`; rule: the rule's name. The episodes are without what belongs to a choice. They begin where the
     configurations' episodes are shortest.
     """
-    # in the paper's world
+    # in the paper's task
     there = [configuration for configuration in recorded["configurations"] if "place" not in configuration]
     of = {
         f"{configuration['algorithm'].upper()} {configuration['label']}": configuration["episodes"]
@@ -285,7 +285,7 @@ def _layouts(task: WrappedTask, sets: str = "test") -> Tensor:
 
 
 def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any]:
-    """Where episodes were flown, if not in the paper's world as it is: `place`, what the player draws and
+    """Where episodes were recorded, if not in the paper's task as it is: `place`, what the player draws and
     calls it.
 
     sets: the split, which may be a rung's such as `slalom-80/test`.
@@ -326,7 +326,7 @@ class Episode(NamedTuple):
 
     seed: int
     layout: int
-    collided: bool  # else it was cut off
+    collided: bool  # else it was truncated
     # T + 1 rows: x, y [px], heading [degrees], clearance [px], reward so far, slots [T + 1, 10, 3 or 4]
     poses: Columns
     choices: Columns  # T rows: action, and values [T, 100], the numbers behind it
@@ -416,7 +416,7 @@ def _by_row(steps: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:
 
 
 def _pack(episode: Episode) -> dict[str, Any]:
-    """An episode as the page holds it."""
+    """An episode as the page contains it."""
     values = episode.choices["values"]
     low, high = values.aminmax(dim=-1, keepdim=True)
     relative = (values - low) / torch.where(high > low, high - low, 1)
@@ -430,7 +430,7 @@ def _pack(episode: Episode) -> dict[str, Any]:
         "layout": episode.layout,
         "steps": len(values),
         "reward": round(float(episode.poses["reward"][-1]), 2),
-        "ended": "goal" if episode.arrived else "collision" if episode.collided else "cut off",
+        "ended": "goal" if episode.arrived else "collision" if episode.collided else "truncated",
         "bytes": base64.b64encode(zlib.compress(content, 9)).decode(),
     }
 

@@ -47,7 +47,7 @@ Flags:
 
 
 def render(kind: type[TrainConfig], world: type[World], command: type[Settings]) -> str:
-    """The help of an algorithm, from the classes of its configuration, of its world and of the command's
+    """The help of an algorithm, from the classes of its configuration, of its `World` and of the command's
     own keys.
     """
     width = max(len(one) for one in kind.PRESETS)

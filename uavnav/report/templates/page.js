@@ -10,7 +10,7 @@ function unfold() {
   target.scrollIntoView();
 }
 
-const opened = []; // for print alone
+const opened = []; // only for print
 addEventListener("hashchange", unfold);
 addEventListener("beforeprint", () => {
   opened.push(...document.querySelectorAll("details:not([open])"));

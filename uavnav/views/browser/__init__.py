@@ -1,8 +1,8 @@
-"""What runs in a browser: the worlds and their drawing, one home each, without a build step or a framework.
+"""What runs in a browser: the tasks and their drawing, one home each, without a build step or a framework.
 
-`world.js` is the worlds, held to Python's by tests/test_playground.py, `sets.js` their obstacles;
+`world.js` is the tasks, compared with Python's by tests/test_playground.py, `sets.js` their obstacles;
 `drawing.js` draws them, and `box.js` those in 3D. `replay.js` plays recorded episodes on a report, and the
-folder `playground` flies live. A page holds the scripts that it needs, one after the other.
+folder `playground` flies live. A page contains the scripts that it needs, one after the other.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ MOVING["ways"] = [
     for places, first, worth in zip(baselines.PLACES, baselines.FIRST, baselines.WORTH, strict=True)
 ]
 RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "moving": MOVING, "goal": GOAL}
-"""What sets of a world are made by and its scripted policy flies by, beside its constants."""
-TITLES = {"drone": "the paper's world", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
-"""How pages call the worlds of `world.js`."""
+"""What a task's layouts and its scripted policy need, besides its constants."""
+TITLES = {"drone": "the paper's task", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
+"""How pages call the tasks of `world.js`."""
 IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}
 """The same of those that pages show in replays and do not fly."""
 
 
 def constants() -> dict[str, dict[str, Any]]:
     """What `world.js` needs of each world, by its name there: constants, the time limit, and `RULES`."""
-    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is a layout file alone
+    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is only a layout file
     return {
         name: {"world": kind.WORLD().model_dump(), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
         for name, kind in kinds.items()

@@ -1,5 +1,5 @@
 /*
- * Drawing the worlds of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
+ * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
  *
  * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle.
  */

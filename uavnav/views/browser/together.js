@@ -2,7 +2,7 @@
  * Recorded episodes side by side on the same obstacles: startTogether(root, data) lets them play by themselves, set after
  * set, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
  *
- * `root` holds a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
+ * `root` contains a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
  * uavnav/views/replays.py gives; drawing.js draws it.
  */
 

@@ -1,11 +1,11 @@
 "use strict";
 
 /*
- * The worlds of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action moves it, what
+ * The tasks of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action moves it, what
  * a step earns and ends. Nothing here draws, and nothing keeps a state.
  *
  * A page gives the constants of a task as uavnav/views/browser/__init__.py has them. A circle is [x, y, radius] px; one that
- * moves has [vx, vy] px a step more. A set is { circles, goal }, the goal [x, y] px or none. A state holds x, y [px],
+ * moves has [vx, vy] px a step more. A set is { circles, goal }, the goal [x, y] px or none. A state has x, y [px],
  * heading [whole degrees] and the counts of an episode. Math.fround is where Python has float32.
  */
 
@@ -167,7 +167,7 @@ function reflect(place, speed, steps, size) {
   return [f32(Math.abs(rest)), onwards ? speed : -speed];
 }
 
-/** The paper's task. Another world is a class that says what is different; who flies or draws asks a task alone. */
+/** The paper's task. Another task is a class that says what is different; who flies or draws asks only a task. */
 class Task {
   moves = false; // whether obstacles do
 

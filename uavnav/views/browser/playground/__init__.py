@@ -1,6 +1,6 @@
-"""The world and trained policies as one page, to be opened from disk: nothing here trains.
+"""The tasks and trained policies as one page, to be opened from disk: nothing here trains.
 
-The page holds the worlds (`uavnav.views.browser`), the first layouts of their splits, the weights of some
+The page contains the tasks (`uavnav.views.browser`), the first layouts of their splits, the weights of some
 seeds of each run as they are, in float32, and scripts without a framework. It loads nothing. What a link to
 it says is checked by `link.js`.
 """
@@ -52,13 +52,13 @@ MOST = 36
 DRONES = 4
 """In a race."""
 ALL_SPLITS = ("test", "validation", "train")
-"""Of each of them a page holds the first `EPISODES` layouts."""
+"""Of each of them a page contains the first `EPISODES` layouts."""
 FIRST_LAYOUT = 3
 """That the page begins with."""
 
 
 class Setting(NamedTuple):
-    """A slider of the page: what of a world, or which fault, it sets."""
+    """A slider of the page: what of a task, or which fault, it sets."""
 
     label: str
     low: float
@@ -66,7 +66,7 @@ class Setting(NamedTuple):
     step: float
     first: float
     unit: str = ""
-    worlds: tuple[str, ...] = ()  # that have it; none: a fault, which any world can have
+    worlds: tuple[str, ...] = ()  # that have it; none: a fault, which any task can have
 
 
 def _rungs(name: str) -> tuple[float, float]:
@@ -85,11 +85,11 @@ SETTINGS = {
 """By name in a link; the bounds are those of the ladders."""
 TOLD = {
     "drone": "",
-    "slalom": "Four columns, each with one gap. Networks of the paper's world fly here as they are.",
-    "moving": "Networks of the paper's world fly here as they are: none senses how fast an obstacle moves.",
+    "slalom": "Four columns, each with one gap. Networks of the paper's task fly here as they are.",
+    "moving": "Networks of the paper's task fly here as they are: none senses how fast an obstacle moves.",
     "goal": "Fly to the rings, in at most 1,000 steps. It takes a network that senses its goal.",
 }
-"""What the page says of each world."""
+"""What the page says of each task."""
 WORLDS = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
 
 
@@ -111,7 +111,7 @@ def runs_in(folder: Path) -> list[Path]:
     """The runs in and below a folder that have policies, the newest `MOST`.
 
     Raises:
-        RunError: it holds no run.
+        RunError: it contains no run.
     """
     found = [path for path in run_folders(folder)[0] if (path / POLICY).exists()]
     newest = sorted(found, key=lambda path: (path / POLICY).stat().st_mtime, reverse=True)[:MOST]
@@ -124,7 +124,7 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
     seed: of every run, by default the lowest; activation: of the zips' hidden layers, where they need one.
 
     Raises:
-        RunError: a folder holds no run.
+        RunError: a folder contains no run.
         PolicyError: a run that is named has no policy, or one that the page cannot fly; or none is left.
     """
     zips = policies.zips([str(word) for word in words], activation)
@@ -189,7 +189,7 @@ def _checked(path: str, policy: Policy) -> Policy:
     usual = type(policy.world)()
     same = {name: getattr(usual, name) for name in ("speed_min", "speed_max") if hasattr(usual, name)}
     if policy.world.replace(**same) != usual:  # the page has obstacles of any speed
-        _refuse(path, "trained in another world than the playground's")
+        _refuse(path, "trained in another task than the playground's")
     return policy
 
 
@@ -228,12 +228,12 @@ def _frames(run: str) -> int:
 
 
 def _key(*words: str) -> str:
-    """A name that a link can hold as it is."""
+    """A name that a link can contain as it is."""
     return re.sub("[^A-Za-z0-9._=-]+", "-", "-".join(words)).strip("-")
 
 
 def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
-    """A policy as the page holds it; where: its run, if its algorithm and activation do not tell."""
+    """A policy as the page contains it; where: its run, if its algorithm and activation do not tell."""
     layers = [layer for layer in policy.network.children() if isinstance(layer, networks.AgentLinear)]
     numbers = [part.detach().numpy() for layer in layers for part in (layer.weight, layer.bias)]
     activation = _activation(policy)
@@ -328,7 +328,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         worlds=WORLDS,
         world=World(),
         others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
-        told=f"It holds {len(found)} trained networks: {configurations} pairs of an algorithm and an "
+        told=f"It contains {len(found)} trained networks: {configurations} pairs of an algorithm and an "
         "activation.",
         version=importlib.metadata.version("uavnav"),
     )

@@ -15,7 +15,7 @@ function download(name, parts) {
 
 /**
  * The row of a drone's episode, if it is one to keep: flown by a person from start to end, on a layout of the test split of
- * the paper's world as it is.
+ * the paper's task as it is.
  */
 function rowOf({ scene, task }, { pilot, state, ended, handed }) {
   const asItIs = scene.world === "drone" && scene.layouts === "test" && !scene.circles && !task.remembers;

@@ -1,13 +1,13 @@
 /*
  * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
  *
- * `data` is what __init__.py writes: constants of the worlds, their layouts and settings, metrics, colours and policies.
+ * `data` is what __init__.py writes: constants of the tasks, their layouts and settings, metrics, colours and policies.
  * In the page, an element with `data-scene` shows a part of the scene and changes it; one with `data-act` calls a method
  * of Playground, with the numbers of its `data-by`.
  */
 
 const MOST_AT_ONCE = 8; // steps from one picture to the next
-const ADDRESS = 200; // [ms] from a change of the scene to the address that holds it
+const ADDRESS = 200; // [ms] from a change of the scene to the address that contains it
 const WAYS_TO_END = { collision: "crashed", goal: "arrived", "time-out": "flew to the time limit" };
 const OTHER_LAYOUT = { circles: null };
 const RANDOM_LAYOUT = { layouts: RANDOM, circles: null };
@@ -295,7 +295,7 @@ class Playground {
   /** Save the episodes that a person flew, with those that this browser kept before. */
   keep() {
     const count = this.rows.length && keepRows(this.data.columns, this.rows);
-    const none = "There is no new episode to keep: fly one on a test layout of the paper's world to its end.";
+    const none = "There is no new episode to keep: fly one on a test layout of the paper's task to its end.";
     this.rows = [];
     this.tell(count ? `human.csv has your episodes: ${count}. For a report: uavnav play --keep human.csv` : none);
     this.showControls();

@@ -1,5 +1,5 @@
 /*
- * The race: up to four drones on the same obstacles, each flown by a person, a policy or a scripted policy. It holds the
+ * The race: up to four drones on the same obstacles, each flown by a person, a policy or a scripted policy. It has the
  * state and draws nothing; what happens is asked of a task of world.js.
  */
 
@@ -121,7 +121,7 @@ class Race {
     return pilot !== NOBODY && (!policy || policy.sizes[0] === this.task.observationSize);
   }
 
-  /** What the drone will do from here, and why: `thought` holds an action, and of a policy the numbers behind it. */
+  /** What the drone will do from here, and why: `thought` has an action, and of a policy the numbers behind it. */
   decide(drone) {
     const { pilot, observation, draw } = drone;
     if (pilot === YOU || !this.canFly(pilot)) drone.thought = {};

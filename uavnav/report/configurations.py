@@ -37,7 +37,7 @@ BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
 WORLDS = "worlds"
 """The folder, in a report's, of the study of that name, which `report.worlds` reads."""
-NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
+NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
 NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
 """Settings that every section names; it names others where configurations differ in them or from their
 preset.

@@ -1,5 +1,7 @@
 """Policies that a run keeps on the way: the same bits as a shorter run's, after a stop and by workers too."""
 
+import shutil
+
 import pytest
 
 from uavnav.algorithms.ppo import PPOConfig
@@ -43,14 +45,17 @@ def test_a_run_that_was_stopped_before_and_goes_on_keeps_the_same_bits(whole, tm
         assert (tmp_path / name).read_bytes() == (whole.path / name).read_bytes()
 
 
-def test_workers_keep_policies_too_and_verify_sees_another_bit_in_one(tmp_path):
+def test_workers_keep_the_policies_of_all_seeds(tmp_path):
     config = PPOConfig(**SMALL, total_frames=128, keep_at=[0.5])
     run = train(config, out=tmp_path / "two", quiet=True, processes=2)
-    kept = run.path / "policy-at-0.5.safetensors"
-    assert tensors(kept)[1] == [0, 1]
-    assert "and 12 tensors at 128" in verify(run, quiet=True).lines[0]  # of policy, value and kept policy
-    kept.write_bytes((run.path / POLICY).read_bytes())
-    assert "policy-at-0.5.safetensors: policy." in verify(run, quiet=True).lines[1]
+    assert tensors(run.path / "policy-at-0.5.safetensors")[1] == [0, 1]
+
+
+def test_verify_compares_kept_policies(whole, tmp_path):
+    run = Run(shutil.copytree(whole.path, tmp_path / "copy"))
+    assert "and 16 tensors at 640" in verify(run, quiet=True).lines[0]  # of policy, value and two kept
+    shutil.copy(run.path / "policy-at-0.25.safetensors", run.path / "policy-at-0.5.safetensors")
+    assert "policy-at-0.5.safetensors: policy.0.bias differs" in verify(run, quiet=True).lines[1]
 
 
 def test_kept_policies_are_flown_into_rows_of_their_own(whole):

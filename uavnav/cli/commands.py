@@ -264,6 +264,8 @@ def _evaluate(parser: Parser) -> None:
     _which_layouts(parser)
     _task(parser)
     _faults(parser)
+    told = "fly the policies kept after this share of training, such as 0.1 (see the setting keep_at)"
+    parser.add_argument("--at", type=float, metavar="SHARE", help=told)
     told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)

@@ -13,7 +13,17 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import EMPTY_ARENA
-from uavnav.report import behaviour, figures, frames, studies, tables, tuning, whys, worlds
+from uavnav.report import (
+    behaviour,
+    figures,
+    frames,
+    longer,
+    studies,
+    tables,
+    tuning,
+    whys,
+    worlds,
+)
 from uavnav.report.claims import CLAIMS, COLUMNS, DISCUSSION, FINAL, OTHER, PRIMARY, asked
 from uavnav.report.configurations import Configuration, algorithms, collect, one_line, read_as
 from uavnav.report.figures import Figure
@@ -181,6 +191,9 @@ def gather(
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
+        of_longer, unread_too = longer.gather(folders)
+        numbers |= of_longer
+        left_out += unread_too
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
         tell("drawing figures")

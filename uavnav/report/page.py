@@ -14,6 +14,7 @@ from uavnav.report import (
     arena,
     evidence,
     frames,
+    longer,
     studies,
     tables,
     whys,
@@ -46,12 +47,15 @@ SECTIONS = {
     "sensitivity": "Sensitivity",
     "algorithms": "Algorithms",
     "worlds": "Worlds",
+    "longer": "Longer",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
+FURTHER = {"longer": longer.STUDY}
+"""Sections of studies that lie apart, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what holds of the paper"
 """Of a report on other runs than the study's."""
 PREVIEWED = 240
@@ -174,6 +178,7 @@ def page(
 def sections(content: Content) -> list[tuple[str, str]]:
     """The ids and titles of the page's sections, in order; of further studies only where there are some."""
     there = {"algorithms": bool({"tuning", "carried"} & {*content.tables}), "worlds": bool(content.worlds)}
+    there |= {name: study in content.tables for name, study in FURTHER.items()}
     return [(id_, title) for id_, title in SECTIONS.items() if there.get(id_, True)]
 
 

@@ -180,6 +180,19 @@ AHEAD: Columns = {
     "not above random flight": "{chance}",
 }
 """Who is ahead in each world: of `worlds.leaders`."""
+LONGER: Columns = {
+    "configuration": lambda one: f"{name(one['algorithm'], one['activation'])} {one['settings']}",
+    "time limit": "{limit:,}",
+    "frames": "{frames:,}",
+    "seeds": "{n}",
+    "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
+    "lead over the other algorithm": "{lead:.1f} [{lead_low:.1f}, {lead_high:.1f}]",
+    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "seeds above it": "{above}",
+    "change": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+    "trend": lambda one: one["trend"] or NOTHING,
+}
+"""Of `longer.table`."""
 
 
 def crossed(

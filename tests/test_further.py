@@ -1,10 +1,13 @@
-"""The study `longer`: their tables of made-up rows with known answers."""
+"""The studies `longer` and `noise`: their tables of made-up rows with known answers."""
 
 import numpy as np
+import pandas as pd
 import pytest
+from runs_by_hand import rows, write_run
 
 from uavnav import stats, studies
-from uavnav.report import longer
+from uavnav.evaluation import Protocol
+from uavnav.report import longer, noise
 from uavnav.report.longer import Where
 from uavnav.runs import trials
 from uavnav.studies import search
@@ -53,8 +56,47 @@ def test_a_reward_is_saturated_where_its_change_lies_within_a_tenth_of_it(low, h
     assert longer.trend(stats.Interval((low + high) / 2, low, high, 5), -100.0) == said
 
 
+def evaluated(path, reward, protocol, **settings):
+    """A run of two seeds that flew two test layouts."""
+    one = [
+        rows(seed, (9, 9, 0, 0, 0, 9, reward + seed), (9, 9, 0, 0, 0, 9, reward + seed)) for seed in (0, 1)
+    ]
+    episodes = pd.concat([seeds.assign(layout=[0, 1], mode="sampled") for seeds in one], ignore_index=True)
+    run = write_run(path, *one, algorithm="ppo", **settings)
+    kept(run, protocol.file("evaluation"), episodes, protocol)
+    return run
+
+
+def kept(folder, name, episodes, protocol):
+    folder.mkdir(parents=True, exist_ok=True)
+    episodes.attrs = protocol.header()
+    episodes.to_parquet(folder / name)
+
+
+def test_what_training_with_noise_gains_is_over_training_without_it_under_the_same_noise(tmp_path):
+    protocol = Protocol("test", 2, 9, "noise=5")
+    for trained, reward in ((0.0, 1.0), (5.0, 4.0)):
+        faults = {"noise": trained, "lost": 0.0, "late": 0, "sticky": 0.0}
+        evaluated(tmp_path / f"noise/{trained:g}/ppo/tanh", reward, protocol, faults=faults)
+    rule = rows(0, (9, 9, 0, 0, 0, 9, 2.0), (9, 9, 0, 0, 0, 9, 3.0)).assign(layout=[0, 1])
+    kept(tmp_path / "noise/baselines", protocol.file("reactive"), rule, protocol)
+    tables, left_out = noise.gather([tmp_path])
+    table = tables["noise"].set_index(["who", "trained"])
+    assert left_out == []
+    assert table.loc[("PPO tanh", 5.0), ["flown", "value", "gap", "gain", "above"]].tolist() == [
+        5,
+        4.5,
+        2,
+        3,
+        2,
+    ]
+    assert table.loc[("PPO tanh", 0.0), ["flown", "value", "gap", "above"]].tolist() == [5, 1.5, -1, 0]
+    assert np.isnan(table.loc[("PPO tanh", 0.0), "gain"])
+    assert table.loc["reactive", "value"].tolist() == [2.5]
+
+
 def test_folders_without_these_studies_have_no_tables(tmp_path):
-    assert longer.gather([tmp_path]) == ({}, [])
+    assert [study.gather([tmp_path]) for study in (longer, noise)] == [({}, [])] * 2
 
 
 def test_the_tuned_settings_of_longer_training_are_those_of_the_best_trials():

@@ -18,6 +18,7 @@ from uavnav.report import (
     figures,
     frames,
     longer,
+    noise,
     studies,
     tables,
     tuning,
@@ -191,9 +192,10 @@ def gather(
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
-        of_longer, unread_too = longer.gather(folders)
-        numbers |= of_longer
-        left_out += unread_too
+        for study in (longer, noise):
+            own, unread_too = study.gather(folders)
+            numbers |= own
+            left_out += unread_too
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
         tell("drawing figures")

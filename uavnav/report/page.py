@@ -15,6 +15,7 @@ from uavnav.report import (
     evidence,
     frames,
     longer,
+    noise,
     studies,
     tables,
     whys,
@@ -48,13 +49,14 @@ SECTIONS = {
     "algorithms": "Algorithms",
     "worlds": "Worlds",
     "longer": "Longer",
+    "noise": "Noise",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-FURTHER = {"longer": longer.STUDY}
+FURTHER = {"longer": longer.STUDY, "noise": noise.STUDY}
 """Sections of studies that lie apart, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what holds of the paper"
 """Of a report on other runs than the study's."""

@@ -193,6 +193,17 @@ LONGER: Columns = {
     "trend": lambda one: one["trend"] or NOTHING,
 }
 """Of `longer.table`."""
+NOISE: Columns = {
+    "who": "{who}",
+    "trained with [px]": "{trained:.0f}",
+    "flown with [px]": "{flown:.0f}",
+    "seeds": "{n}",
+    "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
+    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "seeds above it": "{above}",
+    "more than trained without": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+}
+"""Of `noise.table`."""
 
 
 def crossed(

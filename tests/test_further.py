@@ -1,4 +1,4 @@
-"""The studies `longer` and `noise`: their tables of made-up rows with known answers."""
+"""The studies `longer`, `noise` and `ambiguities`: their tables of made-up rows with known answers."""
 
 import numpy as np
 import pandas as pd
@@ -6,11 +6,13 @@ import pytest
 from runs_by_hand import rows, write_run
 
 from uavnav import stats, studies
+from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
-from uavnav.report import longer, noise
+from uavnav.report import ambiguities, longer, noise
 from uavnav.report.longer import Where
-from uavnav.runs import trials
+from uavnav.runs import Run, draws, paper, trials
 from uavnav.studies import search
+from uavnav.studies.draws import plan
 
 WIDE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 """Deviations of five seeds from their mean."""
@@ -96,7 +98,102 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
 
 
 def test_folders_without_these_studies_have_no_tables(tmp_path):
-    assert [study.gather([tmp_path]) for study in (longer, noise)] == [({}, [])] * 2
+    assert [study.gather([tmp_path]) for study in (longer, noise, ambiguities)] == [({}, [])] * 3
+
+
+def test_mahalanobis_distance_by_hand():
+    """Seeds at (+-1, 0) and (0, +-2): the pooled covariance is diag(2, 8) / 6 of two groups of four."""
+    square = np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]])
+    found = stats.mahalanobis([square, square + 10, np.empty((0, 2))], np.array([1.0, 2.0]))
+    by_hand = [np.sqrt((d[0] ** 2 / (4 / 6) + d[1] ** 2 / (16 / 6)) / 1.25) for d in ((1, 2), (9, 8))]
+    assert found[:2] == pytest.approx(by_hand)
+    assert np.isnan(found[2])
+
+
+SPREAD = np.array([20, 0.3, 1, 80, 0.1, 0.5])
+"""Of seeds, in the paper's metrics."""
+
+
+def near(rng, n, apart=0.0):
+    """Seeds of the paper's configurations that scatter about its numbers, so many deviations apart."""
+    printed = {key: np.array([*row.values()]) for key, row in paper.TABLES.items()}
+    return {key: row + SPREAD * (apart + rng.normal(size=(n, 6))) for key, row in printed.items()}
+
+
+def test_the_distance_of_a_draw_is_joint_over_independent_configurations():
+    rng, two = np.random.default_rng(0), (("dqn", "tanh"), ("dqn", "sigmoid"))
+    seeds = {number: near(rng, 8, apart) for number, apart in ((0, 5.0), (1, 0.0), (2, 20.0))}
+    found = draws.distances({number: {key: own[key] for key in two} for number, own in seeds.items()})
+    assert found.index.tolist() == [1, 0, 2]
+    squares = found["DQN tanh"] ** 2 + found["DQN sigmoid"] ** 2
+    assert (found["distance"] ** 2).tolist() == pytest.approx(squares.tolist())
+
+
+def test_draws_begin_with_what_was_decided_and_more_draws_begin_with_the_same(tmp_path):
+    study = studies.read("ambiguities")
+    few, many = (plan(study, tmp_path, n).drawn() for n in (3, 40))
+    assert many[:3] == few
+    assert few[0] == {name: values[0] for name, values in study.draw["choices"].items()}
+    for name, values in study.draw["choices"].items():
+        assert {one[name] for one in many} == {*values}
+    screened = plan(study, tmp_path).screened()
+    assert len(screened) == 40 * 2
+    assert {one.config.n_seeds for one in screened} == {2}
+    assert plan(study, tmp_path).nearest() == []
+    with pytest.raises(ConfigError, match="seed=340 is of draws and of what they choose; give fewer seeds"):
+        plan(study, tmp_path, seeds=60)
+
+
+def test_configurations_are_trained_in_the_nearest_draws_with_what_their_algorithm_has(tmp_path, monkeypatch):
+    draw = {"draws": 3, "nearest": 1, "screen": {"algorithm": "dqn", "n_seeds": 2, "evaluate": False}}
+    draw |= {"choices": {"learning_starts": [100, 200, 300], "init": [None, "orthogonal"]}}
+    entry = {"algorithm": ["ppo", "dqn"], "evaluate": False}
+    study = studies.Study("mine", "", [], {"seed": 9}, [entry], None, None, draw)
+    found = plan(study, tmp_path)
+    for one in found.screened():
+        write_run(one.out, rows(0, (9, 9, 0, 0, 0, 9, 1.0)), rows(1, (9, 9, 0, 0, 0, 9, 1.0)))
+    rng = np.random.default_rng(0)
+    apart = {"00": 5.0, "01": 0.0, "02": 20.0}
+    logged = lambda run: near(rng, 8, apart[run.path.parents[1].name])["dqn", "tanh"]  # noqa: E731
+    monkeypatch.setattr(draws, "logged", logged)
+    nearest = found.nearest()
+    assert [str(one.out.relative_to(tmp_path)) for one in nearest] == [
+        "mine/nearest/01/ppo/tanh",
+        "mine/nearest/01/dqn/tanh",
+    ]
+    assert nearest[1].config.learning_starts == found.drawn()[1]["learning_starts"]
+
+
+def test_a_draw_fits_where_no_configuration_is_rejected():
+    rng = np.random.default_rng(0)
+    fits = ambiguities.judged(near(rng, 12)).assign(draw=7)
+    one_apart = near(rng, 12) | {("ppo", "relu"): near(rng, 12, 9.0)["ppo", "relu"]}
+    rejected = ambiguities.judged(one_apart).assign(draw=8)
+    few = ambiguities.judged(near(rng, 4)).assign(draw=9)  # four seeds cannot tell
+    assert ambiguities.fitting(pd.concat([fits, rejected, few])) == [7]
+    assert rejected.query("verdict == 'rejected'")["part"].tolist() == ["PPO relu"]
+    assert fits.set_index("part").loc[ambiguities.PPO_ORDER, "verdict"] == "as printed"
+    turned = near(rng, 12) | {("ppo", "tanh"): near(rng, 12)["ppo", "sigmoid"]}
+    of_order = ambiguities.judged(turned).set_index("part").loc[ambiguities.PPO_ORDER]
+    assert (of_order["value"], of_order["verdict"]) == (0.0, "not as printed")
+
+
+def test_the_surge_of_dqn_with_sigmoid_is_as_printed_where_more_than_half_of_the_rise_is_lost(tmp_path):
+    def lost(name, last):
+        levels = [-5.0] * 300 + [15.0] * 300 + [last] * 400
+        tables = [
+            rows(seed, *((1_000 * (n + 1), 9, 0, 0, 0, 9, level + seed) for n, level in enumerate(levels)))
+            for seed in range(3)
+        ]
+        path = write_run(tmp_path / name, *tables, activation="sigmoid", meta={"frames": 10**6})
+        return ambiguities.surges([Run(path)]).iloc[0]
+
+    steep, flat = lost("steep", -3.0), lost("flat", 13.0)
+    assert (steep["verdict"], flat["verdict"]) == ("as printed", "not as printed")
+    # a hundred episodes take 100,000 frames to rise from -5 to 15, a third of the stretch
+    top = 15 - 20 / 6
+    assert steep["value"] == pytest.approx((top + 3) / (top + 5), abs=0.005)
+    assert flat["value"] == pytest.approx((top - 13) / (top + 5), abs=0.005)
 
 
 def test_the_tuned_settings_of_longer_training_are_those_of_the_best_trials():

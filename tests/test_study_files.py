@@ -17,7 +17,7 @@ from uavnav.cli import commands
 from uavnav.cli.study import parse, scripted, status
 from uavnav.errors import ConfigError
 from uavnav.runs import progress, read_settings, run_folders
-from uavnav.studies import search
+from uavnav.studies import draws, search
 from uavnav.studies.run import evaluated, unflown
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
@@ -169,6 +169,8 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
         configurations |= {
             configuration.out: configuration for configuration in search.winners(search.plan(study, results))
         }
+    drawing = draws.plan(studies.read("ambiguities"), results)
+    configurations |= {one.out: one for one in drawing.screened() + drawing.nearest()}
     found, _ = run_folders(results)
     assert {*found} <= {*configurations}
     for path in found:
@@ -184,7 +186,7 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
         ("[", "cannot be read"),
         (
             "configurations: [{algorithm: ppo}]\nwaht: x",
-            "there is no key 'waht'; did you mean what? choose from configurations, obstacles, ",
+            "there is no key 'waht'; did you mean what? choose from configurations, draw, obstacles, ",
         ),
         ("configurations: [{folder: x}]", "is no configuration; it needs at least an `algorithm`"),
         (
@@ -316,6 +318,15 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
             "evaluate.faults=nois=3: there is no key 'nois'; did you mean noise?",
         ),
         (
+            "draw: {draws: 3}\nconfigurations: [{algorithm: ppo}]",
+            "draw: nearest=None; give it as uavnav/studies/ambiguities.yaml does",
+        ),
+        (
+            "draw: {draws: 2, nearest: 1, screen: {algorithm: ppo}, choices: {gama: [1]}}\n"
+            "configurations: [{algorithm: ppo}]",
+            "draw: there is no key 'gama'; did you mean gamma?",
+        ),
+        (
             "scripts: [random]\nconfigurations: [{algorithm: ppo}]",
             "scripts=['random']; give a folder's name, such as baselines",
         ),
@@ -344,7 +355,7 @@ def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written
     [
         (
             ["papr"],
-            "no such study; did you mean paper? choose from algorithms, initial, longer, ",
+            "no such study; did you mean paper? choose from algorithms, ambiguities, initial, longer, ",
         ),
         (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
         (["paper", "sede=3"], "there is no key 'sede'; did you mean seeds? choose from"),

@@ -26,7 +26,7 @@ from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.settings import AtLeast0, Count, Settings, key
-from uavnav.studies import Configuration, engines, search, tuning
+from uavnav.studies import Configuration, draws, engines, search, tuning
 from uavnav.studies.run import Runner, Work, evaluated, let_go, make_layouts, trained
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.faults import from_option
@@ -163,14 +163,18 @@ def main(arguments: Namespace) -> int:
     out = Path(own.out or Path("runs") / study.name)
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
-    if own.trials is not None and study.tune is None:
+    if own.trials is not None and study.tune is None and study.draw is None:
         raise ConfigError(f"trials={own.trials}: study {study.name} searches nothing; leave it out")
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     given = own.seeds, own.frames
     if arguments.status:
         engines.described(own.engine, of_engine, Keys.names())
-        rows = [status(configuration) for configuration in studies.configurations(study, out, *given)]
+        drawing = draws.plan(study, out, own.trials, *given)
+        known = (
+            drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
+        )
+        rows = [status(configuration) for configuration in known]
         if (plan := search.plan(study, out, own.trials, *given)) is not None:
             rows += [
                 status(configuration) | ({"state": state} if state else {})
@@ -183,7 +187,8 @@ def main(arguments: Namespace) -> int:
         stack.callback(let_go, engine)
         plan = search.plan(study, out.resolve(), own.trials, *given)
         make_layouts(out.resolve(), study.obstacles)
-        found = studies.configurations(study, out.resolve(), *given)
+        drawing = draws.plan(study, out.resolve(), own.trials, *given)
+        found = drawing.screened() if drawing else studies.configurations(study, out.resolve(), *given)
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
@@ -206,6 +211,9 @@ def main(arguments: Namespace) -> int:
         if plan is not None and not untold:
             found += search.winners(plan)
         failed = [] if untold else train(found)
+        if drawing is not None and not failed:
+            found = drawing.nearest()
+            failed = train(found)
         for words in scripted(found, out / study.scripts) if study.scripts and not (untold or failed) else ():
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
             commands.run("evaluate", [*words, "--quiet"])

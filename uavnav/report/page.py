@@ -11,6 +11,7 @@ import numpy as np
 
 from uavnav import evaluation
 from uavnav.report import (
+    ambiguities,
     arena,
     evidence,
     frames,
@@ -49,6 +50,7 @@ SECTIONS = {
     "algorithms": "Algorithms",
     "worlds": "Worlds",
     "longer": "Longer",
+    "ambiguities": "Open choices",
     "noise": "Noise",
     "baselines": "Baselines",
     "speed": "Speed",
@@ -56,7 +58,7 @@ SECTIONS = {
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-FURTHER = {"longer": longer.STUDY, "noise": noise.STUDY}
+FURTHER = {"longer": longer.STUDY, "ambiguities": ambiguities.DRAWS, "noise": noise.STUDY}
 """Sections of studies that lie apart, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what holds of the paper"
 """Of a report on other runs than the study's."""
@@ -69,6 +71,7 @@ DECISIONS = [
 ]
 """What the paper leaves open, and what was decided: the table of docs/decisions.md, its header first."""
 TEMPLATES.globals |= {
+    "ambiguities": ambiguities,
     "evaluation": evaluation,
     "evidence": evidence,
     "frames": frames,

@@ -193,6 +193,15 @@ LONGER: Columns = {
     "trend": lambda one: one["trend"] or NOTHING,
 }
 """Of `longer.table`."""
+FITS: Columns = {
+    "draw": "{draw}",
+    "part": "{part}",
+    "value": "{value:.2f} [{low:.2f}, {high:.2f}]",
+    "Holm's p": "{p_holm:.3f}",
+    "seeds": "{n}",
+    "verdict": "{verdict}",
+}
+"""Of `ambiguities.judged`."""
 NOISE: Columns = {
     "who": "{who}",
     "trained with [px]": "{trained:.0f}",
@@ -204,6 +213,12 @@ NOISE: Columns = {
     "more than trained without": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
 }
 """Of `noise.table`."""
+
+
+def drawn(frame: pd.DataFrame) -> Rows:
+    """Draws of settings, the nearest first: as `ambiguities.gather` gives them."""
+    shown = frame.map(lambda one: number(one, 1) if isinstance(one, float) else str(one))
+    return [list(shown.columns.astype(str)), *shown.to_numpy().tolist()]
 
 
 def crossed(

@@ -17,6 +17,7 @@ or one of yours.
     scripts: baselines          # scripted policies fly in the world of each configuration too, as it does;
                                 # their rows go there
     tune: ...                   # settings that are searched for first: `search`
+    draw: ...                   # settings that are drawn first: `draws`
 
 `run` carries a study out, and `uavnav.cli.study` is its command.
 """
@@ -48,7 +49,7 @@ from uavnav.tasks.table import TASKS
 from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "tune")
+KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "tune", "draw")
 OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
 LISTS = ("hidden", "keep_at")
@@ -122,6 +123,7 @@ class Study(NamedTuple):
     configurations: Sequence[Mapping[str, Any]]
     tune: Mapping[str, Any] | None = None
     scripts: str | None = None
+    draw: Mapping[str, Any] | None = None
 
 
 def names() -> list[str]:
@@ -179,7 +181,7 @@ def _study(name: str, said: Any) -> Study:
         check_settings("settings", part)
         for algorithm in ALGORITHMS:
             check_settings(algorithm, part.get(algorithm, {}))
-    for key, example in (("tune", "tuning"),):
+    for key, example in (("tune", "tuning"), ("draw", "ambiguities")):
         if said.get(key) is not None and not isinstance(said[key], dict):
             raise ConfigError(
                 f"{key}={said[key]}; give keys and values, as uavnav/studies/{example}.yaml does"
@@ -195,6 +197,7 @@ def _study(name: str, said: Any) -> Study:
         said["configurations"],
         said.get("tune"),
         scripts,
+        said.get("draw"),
     )
 
 

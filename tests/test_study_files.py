@@ -17,7 +17,7 @@ from uavnav.cli import commands
 from uavnav.cli.study import parse, scripted, status
 from uavnav.errors import ConfigError
 from uavnav.runs import progress, read_settings, run_folders
-from uavnav.studies import search
+from uavnav.studies import draws, search
 from uavnav.studies.run import evaluated, unflown
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
@@ -114,7 +114,7 @@ def test_the_test_sets_of_a_layout_file_are_those_of_its_rung(layouts, test):
 def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_each_world():
     found = studies.configurations(studies.read("worlds"), Path("out"))
     worlds = {(one.config.task, str(one.config.layouts), str(one.config.faults)) for one in found}
-    assert len(found) == len(worlds) * 2 * (5 + 2)
+    assert len(found) == len(worlds) * 2 * (5 + 2) + 2 * 2  # and SAC in two
     assert {one.config.total_frames for one in found} == {500_000}
     assert {one.evaluation["max_steps"] for one in found if one.config.task == "goal"} == {1000}
     assert {one.across for one in found if one.config.layouts == "train" and one.config.task == "drone"} == {
@@ -122,7 +122,7 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
         ("density", "slalom"),
     }
     tuned = {(one.config.algorithm, one.config.preset) for one in found if one.config.preset != "vectorised"}
-    assert tuned == {("ppo", "fast"), ("dqn", "fast")}
+    assert tuned == {("ppo", "fast"), ("dqn", "fast"), ("sac", "fast")}
 
 
 def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configurations_do_unless_rows_are_there(
@@ -169,6 +169,8 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
         configurations |= {
             configuration.out: configuration for configuration in search.winners(search.plan(study, results))
         }
+    drawing = draws.plan(studies.read("ambiguities"), results)
+    configurations |= {one.out: one for one in drawing.screened() + drawing.nearest()}
     found, _ = run_folders(results)
     assert {*found} <= {*configurations}
     for path in found:
@@ -184,7 +186,7 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
         ("[", "cannot be read"),
         (
             "configurations: [{algorithm: ppo}]\nwaht: x",
-            "there is no key 'waht'; did you mean what? choose from configurations, obstacles, scripts, ",
+            "there is no key 'waht'; did you mean what? choose from configurations, draw, obstacles, ",
         ),
         ("configurations: [{folder: x}]", "is no configuration; it needs at least an `algorithm`"),
         (
@@ -308,6 +310,23 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
             "give at most 20,000,000 obstacles",
         ),
         (
+            "configurations: [{algorithm: ppo, keep_at: [0.5], evaluate: {at: [0.5, 0.4]}}]",
+            "evaluate.at=0.4; give some of keep_at=[0.5], or null",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {faults: [none, nois=3]}}]",
+            "evaluate.faults=nois=3: there is no key 'nois'; did you mean noise?",
+        ),
+        (
+            "draw: {draws: 3}\nconfigurations: [{algorithm: ppo}]",
+            "draw: nearest=None; give it as uavnav/studies/ambiguities.yaml does",
+        ),
+        (
+            "draw: {draws: 2, nearest: 1, screen: {algorithm: ppo}, choices: {gama: [1]}}\n"
+            "configurations: [{algorithm: ppo}]",
+            "draw: there is no key 'gama'; did you mean gamma?",
+        ),
+        (
             "scripts: [random]\nconfigurations: [{algorithm: ppo}]",
             "scripts=['random']; give a folder's name, such as baselines",
         ),
@@ -336,7 +355,7 @@ def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written
     [
         (
             ["papr"],
-            "no such study; did you mean paper? choose from algorithms, initial, paper, sensitivity",
+            "no such study; did you mean paper? choose from algorithms, ambiguities, initial, longer, ",
         ),
         (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
         (["paper", "sede=3"], "there is no key 'sede'; did you mean seeds? choose from"),

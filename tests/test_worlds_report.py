@@ -16,7 +16,7 @@ from uavnav.evaluation import Protocol
 from uavnav.evaluation.scripts import SEEDS, rows_of_scripts
 from uavnav.report import tables, worlds
 from uavnav.report.claims import ALL_WORLDS, NONE, RANKED, SCATTER, VARIATION, at
-from uavnav.report.configurations import of_worlds
+from uavnav.report.configurations import apart
 from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import LADDERS
@@ -36,9 +36,9 @@ def test_a_folder_without_the_study_has_no_section(tmp_path):
 
 def test_runs_below_a_folder_worlds_are_the_study_and_a_run_of_that_name_is_a_run(tmp_path):
     (tmp_path / "worlds").mkdir()
-    assert of_worlds([tmp_path]) == [tmp_path / "worlds"]
+    assert apart([tmp_path], "worlds") == [tmp_path / "worlds"]
     (tmp_path / "worlds" / "config.yaml").touch()
-    assert of_worlds([tmp_path]) == []
+    assert apart([tmp_path], "worlds") == []
 
 
 def test_collisions_are_per_1000_px_and_an_episode_that_reaches_its_goal_is_cut_off_and_does_not_crash():

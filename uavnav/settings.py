@@ -105,10 +105,10 @@ AtLeast0 = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=True)]
 """A time, or inf for never."""
-Units = Annotated[
-    tuple[Whole, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-]
+_AsTuple = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+Units = Annotated[tuple[Whole, ...], _AsTuple]
 """Of each hidden layer."""
+Numbers = Annotated[tuple[float, ...], _AsTuple]
 
 
 # -- checks --------------------------------------------------------------------------------------------------
@@ -119,7 +119,7 @@ WANTED = {
     "float_type": "give a number",
     "int_type": "give a whole number",
     "string_type": "give a name",
-    "tuple_type": "give a list of whole numbers, such as [64,64]",
+    "tuple_type": "give a list of numbers in brackets",
 }
 """By pydantic's name of an error, what would be right."""
 Part = TypeVar("Part", bound=Settings)

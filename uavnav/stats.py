@@ -338,6 +338,23 @@ def joint(seeds: Array, number: Array) -> tuple[float, float]:
     return float(p), float(np.mean(np.array(others) < own))
 
 
+def mahalanobis(groups: Sequence[Array], number: Array) -> Array:
+    """How far numbers [M] are from each group of seeds [S, M], as if they were one more seed of it.
+
+    A distance a group. The covariance is that of seeds within groups, pooled over all. It counts 1 + 1/S
+    times, as the mean of S seeds scatters too. NaN for a group without seeds.
+    """
+    found = np.full(len(groups), np.nan)
+    there = [place for place, own in enumerate(groups) if len(own)]
+    within = [groups[place] - groups[place].mean(0) for place in there]
+    freedom = max(sum(len(own) - 1 for own in within), 1)
+    inverse = np.linalg.pinv(sum(own.T @ own for own in within) / freedom, hermitian=True)
+    for place in there:
+        apart = groups[place].mean(0) - number
+        found[place] = np.sqrt(apart @ inverse @ apart / (1 + 1 / len(groups[place])))
+    return found
+
+
 def chance_of_best(samples: Mapping[str, Array], name: str) -> float:
     """How often one seed of this configuration would be above one of each other; samples: [S] each."""
     others = [own for other, own in samples.items() if other != name]

@@ -264,6 +264,8 @@ def _evaluate(parser: Parser) -> None:
     _which_layouts(parser)
     _task(parser)
     _faults(parser)
+    told = "fly the policies kept after this share of training, such as 0.1 (see the setting keep_at)"
+    parser.add_argument("--at", type=float, metavar="SHARE", help=told)
     told = f"evaluate on every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
@@ -453,7 +455,7 @@ STUDY_KEYS = {
     "out": "out=DIR (default: runs/NAME)",
     "seeds": "seeds=N of each configuration",
     "frames": "frames=N of each seed",
-    "trials": "trials=N of each algorithm, where the study tunes",
+    "trials": "trials=N of each algorithm where the study tunes, or draws where it draws",
     "algorithms": "algorithms=ppo,sac only",
     "seeds_per_worker": "seeds_per_worker=N of a job",
     "checkpoint_seconds": "checkpoint_seconds=60 between two snapshots",

@@ -56,6 +56,8 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
             raise ConfigError(f"{given}: only {DRAWS} has several, on the layouts of one split; leave it out")
     if arguments.alone and arguments.across is None:
         raise ConfigError("--alone: only --across adds scripted policies; leave it out")
+    if arguments.at is not None and (elsewhere or not all(isinstance(one, Run) for one in found.values())):
+        raise ConfigError(f"--at {arguments.at:g}: only runs keep policies, for one split; leave it out")
     if elsewhere and arguments.faults is not None:
         raise ConfigError(
             f"--faults {arguments.faults}: ladders and tasks of training have their own; leave it out"
@@ -75,7 +77,8 @@ def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
         task = found.task or make_task(EMPTY, task=arguments.task)
         limit, name = task.limit(MAX_STEPS), name_of(task)
     limit = limit if arguments.max_steps is None else arguments.max_steps
-    return Protocol(arguments.layouts, arguments.episodes, limit, from_option(arguments.faults), name)
+    faults = from_option(arguments.faults)
+    return Protocol(arguments.layouts, arguments.episodes, limit, faults, name, arguments.at)
 
 
 def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
@@ -94,13 +97,19 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
     protocol = _protocol(found, arguments)
     if isinstance(found, Run):
         rows = evaluate_run(
-            found, protocol.episodes, protocol.max_steps, protocol.layouts, quiet, protocol.faults
+            found,
+            protocol.episodes,
+            protocol.max_steps,
+            protocol.layouts,
+            quiet,
+            protocol.faults,
+            protocol.at,
         )
         kept = [found.path / protocol.file("evaluation")]
         shown: str | Run = found
     else:
         files = _files(found, arguments)
-        task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:-1])
+        task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:4])
         rows = found.fly(task, f"on {protocol.layouts}", quiet, measure_of(protocol.layouts))
         rows.attrs = protocol.header()
         for mode, path in files.items():

@@ -26,9 +26,10 @@ from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.settings import AtLeast0, Count, Settings, key
-from uavnav.studies import Configuration, engines, search, tuning
+from uavnav.studies import Configuration, draws, engines, search, tuning
 from uavnav.studies.run import Runner, Work, evaluated, let_go, make_layouts, trained
 from uavnav.tasks import ladders, layouts
+from uavnav.tasks.faults import from_option
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
@@ -162,14 +163,18 @@ def main(arguments: Namespace) -> int:
     out = Path(own.out or Path("runs") / study.name)
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
-    if own.trials is not None and study.tune is None:
-        raise ConfigError(f"trials={own.trials}: study {study.name} does not tune; leave it out")
+    if own.trials is not None and study.tune is None and study.draw is None:
+        raise ConfigError(f"trials={own.trials}: study {study.name} searches nothing; leave it out")
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     given = own.seeds, own.frames
     if arguments.status:
         engines.described(own.engine, of_engine, Keys.names())
-        rows = [status(configuration) for configuration in studies.configurations(study, out, *given)]
+        drawing = draws.plan(study, out, own.trials, *given)
+        known = (
+            drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
+        )
+        rows = [status(configuration) for configuration in known]
         if (plan := search.plan(study, out, own.trials, *given)) is not None:
             rows += [
                 status(configuration) | ({"state": state} if state else {})
@@ -182,7 +187,8 @@ def main(arguments: Namespace) -> int:
         stack.callback(let_go, engine)
         plan = search.plan(study, out.resolve(), own.trials, *given)
         make_layouts(out.resolve(), study.obstacles)
-        found = studies.configurations(study, out.resolve(), *given)
+        drawing = draws.plan(study, out.resolve(), own.trials, *given)
+        found = drawing.screened() if drawing else studies.configurations(study, out.resolve(), *given)
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
@@ -205,6 +211,9 @@ def main(arguments: Namespace) -> int:
         if plan is not None and not untold:
             found += search.winners(plan)
         failed = [] if untold else train(found)
+        if drawing is not None and not failed:
+            found = drawing.nearest()
+            failed = train(found)
         for words in scripted(found, out / study.scripts) if study.scripts and not (untold or failed) else ():
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
             commands.run("evaluate", [*words, "--quiet"])
@@ -225,15 +234,16 @@ def scripted(configurations: Sequence[Configuration], folder: Path) -> list[list
     layouts of their own: each the words of `uavnav evaluate`.
     """
     wanted: dict[Protocol | None, None] = {}
-    for configuration in configurations:
-        if configuration.evaluation is None:
-            continue
-        own, flown = configuration.config, {studies.LAYOUTS: "test"} | configuration.evaluation
+    for configuration in (one for one in configurations if one.flights):
+        own, flights = configuration.config, configuration.flights
         climbed = [name for name in layouts.RUNGS if name in configuration.across]
         rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
-        task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=own.faults)
-        for sets in (flown[studies.LAYOUTS], *rungs):
-            wanted[scripts.protocol_in(task, **flown | {studies.LAYOUTS: sets})] = None
+        flights += [flights[0] | {studies.LAYOUTS: rung} for rung in rungs]
+        for flown in flights:
+            faults = from_option(flown.get(studies.FAULTS)) or own.faults
+            task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
+            bounds = {key: flown[key] for key in studies.PROTOCOL}
+            wanted[scripts.protocol_in(task, flown.get(studies.LAYOUTS, "test"), **bounds)] = None
     return [
         scripts.words(rules, folder, one)
         for one in wanted

@@ -28,6 +28,7 @@ from uavnav.evaluation import evaluate_run
 from uavnav.runs import Run
 from uavnav.runs.policies import Diverged
 from uavnav.runs.tables import RunError
+from uavnav.tasks.faults import from_option
 from uavnav.training import loop, machine
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.recorder import STOPS, Interrupted, Recorder
@@ -64,8 +65,9 @@ def _carry_out(told: Job, kind: str) -> dict[str, Any]:
     if told.evaluation is None:
         return {"finished": run.frames}
     try:
+        faults = from_option(told.evaluation.get("faults"))
         with Heartbeat(out, total=run.frames, frames=run.frames):
-            evaluate_run(run, **told.evaluation, quiet=True)
+            evaluate_run(run, **told.evaluation | {"faults": faults}, quiet=True)
     except ValueError as error:
         return {"error": str(error), "diverged": isinstance(error, Diverged)}
     return {"finished": run.frames}

@@ -20,7 +20,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, told
 from uavnav.evaluation import episodes, values
 from uavnav.evaluation.repeats import Repeats
-from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run
+from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run, kept
 from uavnav.runs.evaluations import Protocol as Protocol
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.policies import Policy, by_mode, load_policies
@@ -253,13 +253,15 @@ def evaluate_run(
     layouts: str | Path = "test",
     quiet: bool = False,
     faults: Faults | None = None,
+    at: float | None = None,
 ) -> pd.DataFrame:
     """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (see
     `Protocol.file`).
 
     Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how
     far it is, unless it is `quiet`. Faults are those that the run was trained with, unless others are given.
-    The time limit is 10,000 steps if none is given, or the task's own where that is lower.
+    The time limit is 10,000 steps if none is given, or the task's own where that is lower. Policies are those
+    of the end of training, or those kept after the share `at` of it (the setting `keep_at`).
 
     Returns:
         The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the file's header, the
@@ -272,11 +274,13 @@ def evaluate_run(
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")
     checked("quiet", quiet, bool)
-    modes = by_mode(load_policies(run.path, run.seeds))
+    if at is not None and at not in run.config.get("keep_at", []):
+        raise RunError(f"{run.path}: kept no policies at={at:g}; train with keep_at=[{at:g}]")
+    modes = by_mode(load_policies(run.path if at is None else run.path / kept(at), run.seeds))
     own = modes["greedy"][run.seeds[0]].task
     max_steps = own.limit(MAX_STEPS) if max_steps is None else max_steps
     task = on(own, layouts, episodes, max_steps, faults)
-    protocol = Protocol(layouts, episodes, max_steps, faults)
+    protocol = Protocol(layouts, episodes, max_steps, faults, at=at)
     rows_file, behaviour_file = (protocol.file(Path(name).stem) for name in (EVALUATION, BEHAVIOUR))
     usual = type(task.task) is Task and rows_file == EVALUATION
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import torch
 from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, choose_from
-from uavnav.runs import POLICY, Run, read_settings
+from uavnav.runs import KEPT, POLICY, Run, read_settings
 from uavnav.runs.metrics import finished
 from uavnav.runs.policies import PolicyError, contents
 from uavnav.runs.tables import RunError
@@ -47,14 +48,15 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """
     checked("frames", frames, Count | None)
     config = _config(run)
-    original, kept = _weights(run.path) if (run.path / POLICY).exists() else (None, run.seeds)
+    files = [POLICY, *(path.name for path in sorted(run.path.glob(f"{KEPT}*")))]
+    original, kept = _weights(run.path, files) if (run.path / POLICY).exists() else (None, run.seeds)
     whole = frames is None or frames >= run.frames
     processes = int(run.meta.get("processes", 1))
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "again"
         if whole:
             again = train(config, out=folder, quiet=quiet, processes=processes)
-            reached, meta, (weights, _) = again.frames, again.meta, _weights(folder)
+            reached, meta, (weights, _) = again.frames, again.meta, _weights(folder, files)
             tables = {"episodes": again.episodes, "progress": again.progress}
         else:
             try:
@@ -133,14 +135,19 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
 
 
-def _weights(folder: Path) -> tuple[dict[str, torch.Tensor], list[int]]:
-    """The tensors of a policy file, and the seeds that it contains."""
-    path = folder / POLICY
-    try:
-        tensors, header = contents(path)
-    except PolicyError as error:
-        raise RunError(f"{path}: missing or damaged; run again with overwrite=true") from error
-    return tensors, header.seeds
+def _weights(folder: Path, files: Sequence[str]) -> tuple[dict[str, torch.Tensor], list[int]]:
+    """The tensors of policy files, of those kept on the way by their file too, and the seeds that they
+    contain.
+    """
+    found: dict[str, torch.Tensor] = {}
+    for name in files:
+        try:
+            tensors, header = contents(folder / name)
+        except PolicyError as error:
+            raise RunError(f"{folder / name}: missing or damaged; run again with overwrite=true") from error
+        where = "" if name == POLICY else f"{name}: "
+        found |= {where + key: tensor for key, tensor in tensors.items()}
+    return found, header.seeds
 
 
 def _weights_parting(there: dict[str, torch.Tensor], here: dict[str, torch.Tensor]) -> str:

@@ -35,9 +35,9 @@ from uavnav.tasks.world import World
 
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
-WORLDS = "worlds"
-"""The folder, in a report's, of the study of that name, which `report.worlds` reads."""
-NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
+APART = ("worlds", "longer", "ambiguities", "noise")
+"""Folders, in a report's, of the studies of these names, which modules of their own read."""
+NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
 NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
 """Settings that every section names; it names others where configurations differ in them or from their
 preset.
@@ -77,9 +77,9 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
         RunError: a folder is missing or contains no run, or no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
-    apart = [folder.resolve() for folder in of_worlds(folders)]
+    elsewhere = [folder.resolve() for study in APART for folder in apart(folders, study)]
     there = {path.resolve(): path for found, _ in walked for path in found}
-    main = {key: path for key, path in there.items() if not any(key.is_relative_to(one) for one in apart)}
+    main = {key: path for key, path in there.items() if not any(key.is_relative_to(one) for one in elsewhere)}
     paths = _beside_tuning(folders, main)
     configurations: dict[str, Configuration] = {}
     left_out = []
@@ -101,9 +101,9 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     return list(configurations.values()), [*left_out, *(line for _, strays in walked for line in strays)]
 
 
-def of_worlds(folders: Sequence[Path]) -> list[Path]:
-    """The folders of the study `worlds` in those of a report."""
-    found = [folder / WORLDS for folder in folders]
+def apart(folders: Sequence[Path], study: str) -> list[Path]:
+    """The folders of a study of `APART` in those of a report."""
+    found = [folder / study for folder in folders]
     return [folder for folder in found if folder.is_dir() and not (folder / "config.yaml").exists()]
 
 

@@ -13,7 +13,19 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import EMPTY_ARENA
-from uavnav.report import behaviour, figures, frames, studies, tables, tuning, whys, worlds
+from uavnav.report import (
+    ambiguities,
+    behaviour,
+    figures,
+    frames,
+    longer,
+    noise,
+    studies,
+    tables,
+    tuning,
+    whys,
+    worlds,
+)
 from uavnav.report.claims import CLAIMS, COLUMNS, DISCUSSION, FINAL, OTHER, PRIMARY, asked
 from uavnav.report.configurations import Configuration, algorithms, collect, one_line, read_as
 from uavnav.report.figures import Figure
@@ -181,6 +193,10 @@ def gather(
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
+        for study in (longer, ambiguities, noise):
+            own, unread_too = study.gather(folders)
+            numbers |= own
+            left_out += unread_too
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
         tell("drawing figures")

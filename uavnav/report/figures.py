@@ -10,7 +10,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, frames, worlds
+from uavnav.report import arena, behaviour, charts, curves, frames, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
 from uavnav.report.frames import RULE, name
@@ -86,6 +86,12 @@ def draw(
             " intervals over seeds. Dotted and dashed: scripts."
         )
         found.append(Figure("worlds-density", "worlds", density, caption))
+    if longer.STUDY in numbers:
+        caption = (
+            "Does longer training pay? Reward on test layouts, sampled, at most 10,000 steps: means and 95 % "
+            "intervals over seeds. Dashed: the scripted policy."
+        )
+        found.append(Figure("longer", "longer", longer.figure(numbers[longer.STUDY], width), caption))
     return found
 
 

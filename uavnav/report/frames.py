@@ -436,7 +436,7 @@ def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -
             stats.difference([by_seed["reward"].mean().to_numpy()], []),
             by_seed[["reward", "steps"]].sum(),
         )
-        own = _to_rule(ended, rule) if who != RULE else np.empty(0)
+        own = to_rule(ended, rule) if who != RULE else np.empty(0)
         above = float((own > 0).mean()) if len(own) else np.nan
         facts = (_limit(ended), reward.n, len(ended), ended["truncated"].mean())
         per_frame = (sums["reward"] / sums["steps"]).mean()
@@ -483,7 +483,7 @@ def _limit(episodes: pd.DataFrame) -> float:
     return float(episodes.loc[episodes["truncated"], "steps"].max())
 
 
-def _to_rule(episodes: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
+def to_rule(episodes: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
     """Each seed's mean gap to the rule over the layouts that both flew [S]; none if their time limits
     differ.
     """

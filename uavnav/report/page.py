@@ -11,9 +11,12 @@ import numpy as np
 
 from uavnav import evaluation
 from uavnav.report import (
+    ambiguities,
     arena,
     evidence,
     frames,
+    longer,
+    noise,
     studies,
     tables,
     whys,
@@ -46,12 +49,17 @@ SECTIONS = {
     "sensitivity": "Sensitivity",
     "algorithms": "Algorithms",
     "worlds": "Tasks",
+    "longer": "Longer",
+    "ambiguities": "Open choices",
+    "noise": "Noise",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
+FURTHER = {"longer": longer.STUDY, "ambiguities": ambiguities.DRAWS, "noise": noise.STUDY}
+"""Sections of further studies, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what replicates of the paper"
 """Of a report on other runs than the study's."""
 PREVIEWED = 240
@@ -65,6 +73,7 @@ DECISIONS = [
 ]
 """What the paper leaves open, and what was decided: the table of docs/decisions.md, its header first."""
 TEMPLATES.globals |= {
+    "ambiguities": ambiguities,
     "evaluation": evaluation,
     "evidence": evidence,
     "frames": frames,
@@ -176,6 +185,7 @@ def page(
 def sections(content: Content) -> list[tuple[str, str]]:
     """The ids and titles of the page's sections, in order; of further studies only where there are some."""
     there = {"algorithms": bool({"tuning", "carried"} & {*content.tables}), "worlds": bool(content.worlds)}
+    there |= {name: study in content.tables for name, study in FURTHER.items()}
     return [(id_, title) for id_, title in SECTIONS.items() if there.get(id_, True)]
 
 

@@ -180,6 +180,45 @@ AHEAD: Columns = {
     "not above a random policy": "{chance}",
 }
 """Who is ahead in each task: of `worlds.leaders`."""
+LONGER: Columns = {
+    "configuration": lambda one: f"{name(one['algorithm'], one['activation'])} {one['settings']}",
+    "time limit": "{limit:,}",
+    "frames": "{frames:,}",
+    "seeds": "{n}",
+    "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
+    "lead over the other algorithm": "{lead:.1f} [{lead_low:.1f}, {lead_high:.1f}]",
+    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "seeds above it": "{above}",
+    "change": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+    "trend": lambda one: one["trend"] or NOTHING,
+}
+"""Of `longer.table`."""
+FITS: Columns = {
+    "draw": "{draw}",
+    "part": "{part}",
+    "value": "{value:.2f} [{low:.2f}, {high:.2f}]",
+    "Holm's p": "{p_holm:.3f}",
+    "seeds": "{n}",
+    "verdict": "{verdict}",
+}
+"""Of `ambiguities.judged`."""
+NOISE: Columns = {
+    "who": "{who}",
+    "trained with [px]": "{trained:.0f}",
+    "flown with [px]": "{flown:.0f}",
+    "seeds": "{n}",
+    "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
+    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "seeds above it": "{above}",
+    "more than trained without": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+}
+"""Of `noise.table`."""
+
+
+def drawn(frame: pd.DataFrame) -> Rows:
+    """Draws of settings, the nearest first: as `ambiguities.gather` gives them."""
+    shown = frame.map(lambda one: number(one, 1) if isinstance(one, float) else str(one))
+    return [list(shown.columns.astype(str)), *shown.to_numpy().tolist()]
 
 
 def crossed(

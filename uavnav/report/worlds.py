@@ -28,7 +28,7 @@ from uavnav.report.claims import (
     at,
     slopes,
 )
-from uavnav.report.configurations import of_worlds, one_line, order, settings_of
+from uavnav.report.configurations import apart, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
@@ -74,7 +74,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     Raises:
         RunError: a folder cannot be read.
     """
-    homes = of_worlds(folders)
+    homes = apart(folders, "worlds")
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
     settings: dict[Key, dict[str, object]] = {}

@@ -5,6 +5,7 @@
     episodes.parquet    one row per training episode, the columns of `metrics.EPISODE_COLUMNS`
     progress.parquet    one row per iteration and seed: losses and diagnostics
     policy.safetensors  the networks of all seeds; where it was left out, the run's command trains it again
+    policy-at-0.1.safetensors  the policies after a tenth of training, where `keep_at` asks for them
     evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see
                         `runs.evaluations`
     behaviour.parquet   the actions of some test episodes, one row per step (see `uavnav.report.behaviour`)
@@ -50,6 +51,8 @@ BEHAVIOUR = "behaviour.parquet"
 ARENA = "arena.parquet"
 VALUES = "values.parquet"
 POLICY = "policy.safetensors"
+KEPT = "policy-at-"
+"""Begins the names of policies that were kept on the way."""
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", POLICY)
 PROGRESS = "progress.json"
 STOP = "stop"
@@ -206,6 +209,11 @@ class Run:
             else "run again with overwrite=true"
         )
         return read_table(self.path / name, columns, again)
+
+
+def kept(at: float) -> str:
+    """The file of the policies after a share of training."""
+    return f"{KEPT}{at:g}.safetensors"
 
 
 def default_folder(algorithm: str, preset: str, activation: str, changes: Mapping[str, str]) -> Path:

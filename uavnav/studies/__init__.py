@@ -9,7 +9,7 @@ or one of yours.
       n_seeds: 20               # any setting of an algorithm
       evaluate: {episodes: 10, max_steps: 500}  # by default 200 test layouts of 10,000 steps, or of the
                                 # task's own time limit where that is lower; false: not at all; with
-                                # `across: [density]` ladders too
+                                # `across: [density]` ladders too; a list stands for an evaluation each
       dqn: {learning_starts: 1000}              # of one algorithm's configurations
     configurations:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in
@@ -17,6 +17,7 @@ or one of yours.
     scripts: baselines          # scripted policies fly in the task of each configuration too, as it does;
                                 # their rows go there
     tune: ...                   # settings that are searched for first: `search`
+    draw: ...                   # settings that are drawn first: `draws`
 
 `run` carries a study out, and `uavnav.cli.study` is its command.
 """
@@ -29,7 +30,7 @@ import os
 import re
 import string
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -39,17 +40,20 @@ from uavnav import files
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, choose_from, one_line, told, unknown, unknown_key
 from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, Protocol
-from uavnav.settings import Whole, checked
+from uavnav.settings import Whole, checked, shown
 from uavnav.tasks import layouts
+from uavnav.tasks.faults import from_words
 from uavnav.tasks.layouts import LayoutError, judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
 from uavnav.tasks.table import TASKS
 from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "tune")
+KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "tune", "draw")
 OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
+LISTS = ("hidden", "keep_at")
+"""Settings whose value is a list."""
 PROTOCOL = ("episodes", "max_steps")
 """Keys of `evaluate` that every configuration is flown by."""
 MOST_CONFIGURATIONS = 10_000
@@ -60,8 +64,9 @@ FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"
 """Of a value in a folder's name."""
 PATH = 1_000
 """Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
-LAYOUTS = "layouts"
-"""A key of `evaluate` for another layout file than the test layouts."""
+LAYOUTS, FAULTS, AT = "layouts", "faults", "at"
+"""Keys of `evaluate`: another layout file than the test layouts; faults such as noise=5, instead of those of
+training; the share of training after which policies were kept, null for its end."""
 
 
 class _Loader(files.Loader):
@@ -85,11 +90,20 @@ class Configuration(NamedTuple):
     config: TrainConfig
     out: Path
     evaluation: dict[str, Any] | None
-    """`episodes`, layouts of the split `test` or of `layouts`, and `max_steps`; None: it is not flown."""
+    """`episodes`, layouts of the split `test` or of `layouts`, `max_steps`, and perhaps `faults` and `at`;
+    None: it is not flown.
+    """
+    further: tuple[dict[str, Any], ...] = ()
+    """Further evaluations, of the same keys."""
     across: tuple[str, ...] = ()
     """Ladders that it flies too, with as many layouts and steps."""
     study: str = ""
     """The name of its study, which its `meta.json` keeps."""
+
+    @property
+    def flights(self) -> list[dict[str, Any]]:
+        """All its evaluations."""
+        return [] if self.evaluation is None else [self.evaluation, *self.further]
 
     @property
     def episodes(self) -> tuple[str, ...]:
@@ -106,9 +120,10 @@ class Study(NamedTuple):
     what: str
     obstacles: list[int]
     settings: Mapping[str, Any]
-    configurations: list[Mapping[str, Any]]
+    configurations: Sequence[Mapping[str, Any]]
     tune: Mapping[str, Any] | None = None
     scripts: str | None = None
+    draw: Mapping[str, Any] | None = None
 
 
 def names() -> list[str]:
@@ -166,9 +181,11 @@ def _study(name: str, said: Any) -> Study:
         check_settings("settings", part)
         for algorithm in ALGORITHMS:
             check_settings(algorithm, part.get(algorithm, {}))
-    tune = said.get("tune")
-    if tune is not None and not isinstance(tune, dict):
-        raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
+    for key, example in (("tune", "tuning"), ("draw", "ambiguities")):
+        if said.get(key) is not None and not isinstance(said[key], dict):
+            raise ConfigError(
+                f"{key}={said[key]}; give keys and values, as uavnav/studies/{example}.yaml does"
+            )
     scripts = said.get("scripts")
     if scripts is not None and not (isinstance(scripts, str) and _is_folder(scripts) and _is_within(scripts)):
         raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
@@ -178,8 +195,9 @@ def _study(name: str, said: Any) -> Study:
         [*dict.fromkeys(obstacles)],
         settings,
         said["configurations"],
-        tune,
+        said.get("tune"),
         scripts,
+        said.get("draw"),
     )
 
 
@@ -270,10 +288,8 @@ def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_list(key: str, value: Any) -> bool:
-    """Whether a value stands for several configurations; a list of units is one value."""
-    return isinstance(value, list) and not (
-        key == "hidden" and not any(isinstance(one, list) for one in value)
-    )
+    """Whether a value stands for several configurations; a list of units or of shares is one value."""
+    return isinstance(value, list) and not (key in LISTS and not any(isinstance(one, list) for one in value))
 
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -301,24 +317,21 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
         )
     if not (out / folder).resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
-    evaluation, across = _protocol(said.get("evaluate", True), TASKS[config.task].limit(MAX_STEPS))
-    if evaluation is not None:
-        sets = (
-            len(layouts.load(evaluation[LAYOUTS], config.world))
-            if LAYOUTS in evaluation
-            else SPLITS["test"].n
-        )
-        if evaluation["episodes"] > sets:
+    protocols, across = _protocols(said.get("evaluate", True), TASKS[config.task].limit(MAX_STEPS))
+    for protocol in protocols:
+        name = protocol.get(LAYOUTS)
+        sets = len(layouts.load(name, config.world)) if name else SPLITS["test"].n
+        if protocol["episodes"] > sets:
+            given = protocol["episodes"]
+            raise ConfigError(f"evaluate.episodes={given}; give at most {sets}, the split's layouts")
+        if (at := protocol.get(AT)) is not None and at not in config.keep_at:
             raise ConfigError(
-                f"evaluate.episodes={evaluation['episodes']}; give at most {sets}, the split's layouts"
+                f"evaluate.at={told(at)}; give some of keep_at={shown(config.keep_at)}, or null"
             )
-    if (
-        evaluation is not None
-        and (all_layouts := judged_on(config.layouts)) != "test"
-        and all_layouts != config.layouts
-    ):
-        evaluation = {LAYOUTS: all_layouts} | evaluation
-    return Configuration(config, out / folder / config.algorithm / config.activation, evaluation, across)
+    if (own := judged_on(config.layouts)) not in ("test", config.layouts):
+        protocols = [{LAYOUTS: own} | protocol for protocol in protocols]
+    place = out / folder / config.algorithm / config.activation
+    return Configuration(config, place, next(iter(protocols), None), tuple(protocols[1:]), across)
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
@@ -356,23 +369,32 @@ def _is_folder(name: str) -> bool:
     return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
-def _protocol(said: Any, limit: int) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+def _protocols(said: Any, limit: int) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """How a configuration is flown, and across which ladders; limit: of steps, if none is said."""
     usual = dict(zip(PROTOCOL, (EPISODES, limit), strict=True))
     if isinstance(said, bool):
-        return (usual if said else None), ()
-    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, LAYOUTS, "across"}:
-        raise ConfigError(
-            f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, LAYOUTS, 'across'))}"
-        )
+        return [usual] * said, ()
+    known = (*PROTOCOL, LAYOUTS, FAULTS, AT, "across")
+    if not isinstance(said, dict) or not said.keys() <= {*known}:
+        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join(known)}")
     across = said.get("across", [])
     if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
-    if LAYOUTS in said and not isinstance(said[LAYOUTS], str):
-        raise ConfigError(f"evaluate.{LAYOUTS}={said[LAYOUTS]}; give a name")
-    protocol = usual | {key: value for key, value in said.items() if key != "across"}
+    several = usual | {key: value for key, value in said.items() if key != "across"}
+    return [_protocol(one) for one in _combinations(several)], tuple(dict.fromkeys(across))
+
+
+def _protocol(said: Mapping[str, Any]) -> dict[str, Any]:
+    """One evaluation, checked; without keys that say nothing."""
+    protocol = {key: value for key, value in said.items() if value is not None}
     for key in PROTOCOL:
-        protocol[key] = checked(
-            f"evaluate.{key}", protocol[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)]
-        )
-    return protocol, tuple(dict.fromkeys(across))
+        protocol[key] = checked(f"evaluate.{key}", said[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)])
+    for key in (LAYOUTS, FAULTS):
+        if not isinstance(protocol.get(key, ""), str):
+            raise ConfigError(f"evaluate.{key}={protocol[key]}; give a name")
+    if FAULTS in protocol:
+        try:
+            protocol[FAULTS] = str(from_words(protocol[FAULTS]))
+        except ValueError as error:
+            raise ConfigError(f"evaluate.{FAULTS}={protocol[FAULTS]}: {error}") from error
+    return protocol

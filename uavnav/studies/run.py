@@ -24,11 +24,11 @@ from typing import Any, TypeVar
 
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
-from uavnav.evaluation import rows_across, together
+from uavnav.evaluation import Protocol, rows_across, together
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
-from uavnav.studies import Configuration, engines
+from uavnav.studies import PROTOCOL, Configuration, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
 from uavnav.training import heartbeat, machine, recorder, workers
@@ -202,15 +202,14 @@ def unflown(configuration: Configuration) -> list[list[str]]:
     """
     if configuration.evaluation is None:
         return []
-    bounds = {key: value for key, value in configuration.evaluation.items() if key != "layouts"}
-    missing = (
-        [] if (configuration.out / configuration.episodes[0]).exists() else [_words(configuration.evaluation)]
-    )
-    ladders = [
-        name
-        for name in configuration.across
-        if not (configuration.out / rows_across(name, **bounds)).exists()
+    out = configuration.out
+    missing = [
+        _words(one)
+        for one in configuration.flights
+        if not (out / Protocol(**one).file("evaluation")).exists()
     ]
+    bounds = {key: configuration.evaluation[key] for key in PROTOCOL}
+    ladders = [name for name in configuration.across if not (out / rows_across(name, **bounds)).exists()]
     return missing + [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
 
 

@@ -18,7 +18,20 @@ from uavnav.errors import ConfigError, among, told, unknown
 from uavnav.graph import telling_line
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder
-from uavnav.settings import AtLeast0, Count, OneOf, Settings, Share, Units, Whole, flat, key, part, shown
+from uavnav.settings import (
+    AtLeast0,
+    Count,
+    Numbers,
+    OneOf,
+    Settings,
+    Share,
+    Units,
+    Whole,
+    flat,
+    key,
+    part,
+    shown,
+)
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.table import TASKS, make_task
@@ -86,6 +99,7 @@ class TrainConfig(Settings):
     world: SerializeAsAny[World] = key(None, "fields of the world that differ from the task's own")
     faults: Faults = key(None, "faults of the sensor and the actuator")
     device: str = key("cpu", "where tensors live")
+    keep_at: Numbers = key((), "of training, after which policies are kept too, such as [0.1,0.3]", "shares")
     compile: Compile = key("auto", "auto compiles runs of 100,000 frames and more")
 
     @model_validator(mode="before")
@@ -118,6 +132,10 @@ class TrainConfig(Settings):
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(
                 f"hidden={told(list(self.hidden))}; give at least one layer, each of at least 1 unit"
+            )
+        if not all(0 < at < 1 for at in self.keep_at):
+            raise ConfigError(
+                f"keep_at={told(list(self.keep_at))}; give shares between 0 and 1, as [0.1,0.3]"
             )
         if len(self.hidden) > MOST_LAYERS:
             raise ConfigError(f"hidden: {len(self.hidden)} layers; give at most {MOST_LAYERS}")

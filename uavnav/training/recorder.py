@@ -26,14 +26,26 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavnav import files, plugins
-from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, WORKERS, Run, read_settings
+from uavnav.runs import (
+    FILES,
+    FINISHED,
+    KEPT,
+    LOG_FOLDERS,
+    POLICY,
+    PROGRESS,
+    STOP,
+    WORKERS,
+    Run,
+    kept,
+    read_settings,
+)
 from uavnav.runs.lately import Lately, Watch
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.table import TASKS
-from uavnav.training import provenance
+from uavnav.training import provenance, weights
 from uavnav.training.checkpoints import Checkpoints, Snapshot, Stateful
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.heartbeat import Heartbeat
@@ -246,7 +258,11 @@ class Recorder:
 
     def _begin(self) -> None:
         if self._overwrite:
-            there = (*(self.path / name for name in FILES), *self.path.glob("*.parquet"))  # episodes too
+            there = (
+                *(self.path / name for name in FILES),
+                *self.path.glob("*.parquet"),
+                *self.path.glob(f"{KEPT}*"),
+            )
             if folder := next((path for path in there if path.is_dir() and not path.is_symlink()), None):
                 raise RunError(f"out={self.path}: {folder.name} is a folder; give another folder")
             self._remove_unfinished()
@@ -378,6 +394,7 @@ class Recorder:
         Raises:
             Interrupted: after SIGINT or SIGTERM, and saved.
         """
+        self._keep_policies(frames, parts)
         now = time.perf_counter()
         wanted = self.stop is None and self.until is not None and frames >= self.until
         if wanted:
@@ -399,6 +416,13 @@ class Recorder:
         self.checkpoint_seconds = max(self.checkpoint_seconds, (self._saved - now) / CHECKPOINT_SHARE)
         if self.stop is not None:
             raise self.interrupted(frames, wanted)
+
+    def _keep_policies(self, frames: int, parts: Mapping[str, Any]) -> None:
+        """Keep the policies at the end of the iteration in which a share of training is reached."""
+        for at in self.config.keep_at:
+            if 0 <= frames - at * self.config.frames < self.config.frames_per_iteration:
+                actor = parts["actions"]
+                write(self.path / kept(at), weights.serialize({"policy": actor.network}, self.config, actor))
 
     def interrupted(self, frames: int, wanted: bool) -> Interrupted:
         """What to raise when the run was saved after so many frames per seed; wanted: by `until`."""

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav import files, plugins
-from uavnav.runs import POLICY, PROGRESS, STOP, WORKERS, Run, progress
+from uavnav.runs import POLICY, PROGRESS, STOP, WORKERS, Run, kept, progress
 from uavnav.runs.lately import NOTHING, Lately, all_seeds
 from uavnav.runs.tables import LOCK, RunError, with_reward, write
 from uavnav.training import heartbeat, weights
@@ -332,6 +332,8 @@ def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
     runs = [Run(worker.folder) for worker in workers]
     recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
     recorder.heartbeat.lately = all_seeds([Lately(**run.meta.get("lately", {})) for run in runs])
+    for name in map(kept, recorder.config.keep_at):
+        write(recorder.path / name, weights.join([run.path / name for run in runs]))
     policy = weights.join([run.path / POLICY for run in runs])
     return recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
 

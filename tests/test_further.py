@@ -1,0 +1,208 @@
+"""The studies `longer`, `noise` and `ambiguities`: their tables of made-up rows with known answers."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from runs_by_hand import rows, write_run
+
+from uavnav import stats, studies
+from uavnav.errors import ConfigError
+from uavnav.evaluation import Protocol
+from uavnav.report import ambiguities, longer, noise
+from uavnav.report.longer import Where
+from uavnav.runs import Run, draws, paper, trials
+from uavnav.studies import search
+from uavnav.studies.draws import plan
+
+WIDE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+"""Deviations of five seeds from their mean."""
+
+
+def where(settings, algorithm, layouts="test", frames=1, limit=10):
+    return Where(settings, algorithm, "tanh", layouts, limit, frames)
+
+
+def flown(told, layouts, frames=1):
+    """Rewards of five seeds by who flew, from their means."""
+    return {where(*who, layouts, frames): mean + WIDE for who, mean in told.items()}
+
+
+def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layouts():
+    better = {("fast", "ppo"): 30.0, ("default", "ppo"): 20.0, ("fast", "dqn"): 10.0, ("tuned", "dqn"): 5.0}
+    judged = {("fast", "ppo"): 24.0, ("default", "ppo"): 40.0, ("fast", "dqn"): 12.0, ("tuned", "dqn"): 50.0}
+    rewards = flown(better, "validation") | flown(judged, "test")
+    table = longer.table(rewards, {one: own - 24.0 for one, own in rewards.items()}, {("test", 10): 24.0})
+    (leader,) = table.query("layouts == 'test' and leads").to_dict("records")
+    assert (leader["settings"], leader["algorithm"], leader["value"]) == ("fast", "ppo", 24.0)
+    assert leader["lead"] == pytest.approx(24 - 12)  # DQN tuned is better there, but was not chosen
+    half = 2.306 * np.sqrt(2.5 / 5 + 2.5 / 5)  # t of 8 degrees of freedom
+    assert leader["lead_high"] - leader["lead"] == pytest.approx(half, abs=1e-3)
+    assert (leader["gap"], leader["above"], leader["scripted"]) == (0.0, 2, 24.0)
+
+
+def test_a_gain_is_seed_by_seed_over_the_length_before():
+    short, long = where("fast", "ppo"), where("fast", "ppo", frames=3)
+    rewards = {short: 100 + 50 * WIDE, long: 120 + 50 * WIDE + 0.1 * WIDE[::-1]}
+    table = longer.table(rewards, dict.fromkeys(rewards, np.zeros(5)), {}).set_index("frames")
+    assert table.loc[3, "gain"] == pytest.approx(20)
+    assert table.loc[3, "gain_high"] - 20 == pytest.approx(2.776 * 0.1 * np.sqrt(2.5 / 5), abs=1e-3)
+    assert (table.loc[1, "trend"], table.loc[3, "trend"]) == ("", "rises")
+    assert not table["leads"].any()  # nothing was flown on validation layouts
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [(-9, 9, "saturated"), (1, 9, "saturated"), (1, 11, "rises"), (-11, -1, "falls"), (-11, 1, "open")],
+)
+def test_a_reward_is_saturated_where_its_change_lies_within_a_tenth_of_it(low, high, said):
+    assert longer.trend(stats.Interval((low + high) / 2, low, high, 5), -100.0) == said
+
+
+def evaluated(path, reward, protocol, **settings):
+    """A run of two seeds that flew two test layouts."""
+    one = [
+        rows(seed, (9, 9, 0, 0, 0, 9, reward + seed), (9, 9, 0, 0, 0, 9, reward + seed)) for seed in (0, 1)
+    ]
+    episodes = pd.concat([seeds.assign(layout=[0, 1], mode="sampled") for seeds in one], ignore_index=True)
+    run = write_run(path, *one, algorithm="ppo", **settings)
+    kept(run, protocol.file("evaluation"), episodes, protocol)
+    return run
+
+
+def kept(folder, name, episodes, protocol):
+    folder.mkdir(parents=True, exist_ok=True)
+    episodes.attrs = protocol.header()
+    episodes.to_parquet(folder / name)
+
+
+def test_what_training_with_noise_gains_is_over_training_without_it_under_the_same_noise(tmp_path):
+    protocol = Protocol("test", 2, 9, "noise=5")
+    for trained, reward in ((0.0, 1.0), (5.0, 4.0)):
+        faults = {"noise": trained, "lost": 0.0, "late": 0, "sticky": 0.0}
+        evaluated(tmp_path / f"noise/{trained:g}/ppo/tanh", reward, protocol, faults=faults)
+    rule = rows(0, (9, 9, 0, 0, 0, 9, 2.0), (9, 9, 0, 0, 0, 9, 3.0)).assign(layout=[0, 1])
+    kept(tmp_path / "noise/baselines", protocol.file("reactive"), rule, protocol)
+    tables, left_out = noise.gather([tmp_path])
+    table = tables["noise"].set_index(["who", "trained"])
+    assert left_out == []
+    assert table.loc[("PPO tanh", 5.0), ["flown", "value", "gap", "gain", "above"]].tolist() == [
+        5,
+        4.5,
+        2,
+        3,
+        2,
+    ]
+    assert table.loc[("PPO tanh", 0.0), ["flown", "value", "gap", "above"]].tolist() == [5, 1.5, -1, 0]
+    assert np.isnan(table.loc[("PPO tanh", 0.0), "gain"])
+    assert table.loc["reactive", "value"].tolist() == [2.5]
+
+
+def test_folders_without_these_studies_have_no_tables(tmp_path):
+    assert [study.gather([tmp_path]) for study in (longer, noise, ambiguities)] == [({}, [])] * 3
+
+
+def test_mahalanobis_distance_by_hand():
+    """Seeds at (+-1, 0) and (0, +-2): the pooled covariance is diag(2, 8) / 6 of two groups of four."""
+    square = np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]])
+    found = stats.mahalanobis([square, square + 10, np.empty((0, 2))], np.array([1.0, 2.0]))
+    by_hand = [np.sqrt((d[0] ** 2 / (4 / 6) + d[1] ** 2 / (16 / 6)) / 1.25) for d in ((1, 2), (9, 8))]
+    assert found[:2] == pytest.approx(by_hand)
+    assert np.isnan(found[2])
+
+
+SPREAD = np.array([20, 0.3, 1, 80, 0.1, 0.5])
+"""Of seeds, in the paper's metrics."""
+
+
+def near(rng, n, apart=0.0):
+    """Seeds of the paper's configurations that scatter about its numbers, so many deviations apart."""
+    printed = {key: np.array([*row.values()]) for key, row in paper.TABLES.items()}
+    return {key: row + SPREAD * (apart + rng.normal(size=(n, 6))) for key, row in printed.items()}
+
+
+def test_the_distance_of_a_draw_is_joint_over_independent_configurations():
+    rng, two = np.random.default_rng(0), (("dqn", "tanh"), ("dqn", "sigmoid"))
+    seeds = {number: near(rng, 8, apart) for number, apart in ((0, 5.0), (1, 0.0), (2, 20.0))}
+    found = draws.distances({number: {key: own[key] for key in two} for number, own in seeds.items()})
+    assert found.index.tolist() == [1, 0, 2]
+    squares = found["DQN tanh"] ** 2 + found["DQN sigmoid"] ** 2
+    assert (found["distance"] ** 2).tolist() == pytest.approx(squares.tolist())
+
+
+def test_draws_begin_with_what_was_decided_and_more_draws_begin_with_the_same(tmp_path):
+    study = studies.read("ambiguities")
+    few, many = (plan(study, tmp_path, n).drawn() for n in (3, 40))
+    assert many[:3] == few
+    assert few[0] == {name: values[0] for name, values in study.draw["choices"].items()}
+    for name, values in study.draw["choices"].items():
+        assert {one[name] for one in many} == {*values}
+    screened = plan(study, tmp_path).screened()
+    assert len(screened) == 40 * 2
+    assert {one.config.n_seeds for one in screened} == {2}
+    assert plan(study, tmp_path).nearest() == []
+    with pytest.raises(ConfigError, match="seed=340 is of draws and of what they choose; give fewer seeds"):
+        plan(study, tmp_path, seeds=60)
+
+
+def test_configurations_are_trained_in_the_nearest_draws_with_what_their_algorithm_has(tmp_path, monkeypatch):
+    draw = {"draws": 3, "nearest": 1, "screen": {"algorithm": "dqn", "n_seeds": 2, "evaluate": False}}
+    draw |= {"choices": {"learning_starts": [100, 200, 300], "init": [None, "orthogonal"]}}
+    entry = {"algorithm": ["ppo", "dqn"], "evaluate": False}
+    study = studies.Study("mine", "", [], {"seed": 9}, [entry], None, None, draw)
+    found = plan(study, tmp_path)
+    for one in found.screened():
+        write_run(one.out, rows(0, (9, 9, 0, 0, 0, 9, 1.0)), rows(1, (9, 9, 0, 0, 0, 9, 1.0)))
+    rng = np.random.default_rng(0)
+    apart = {"00": 5.0, "01": 0.0, "02": 20.0}
+    logged = lambda run: near(rng, 8, apart[run.path.parents[1].name])["dqn", "tanh"]  # noqa: E731
+    monkeypatch.setattr(draws, "logged", logged)
+    nearest = found.nearest()
+    assert [str(one.out.relative_to(tmp_path)) for one in nearest] == [
+        "mine/nearest/01/ppo/tanh",
+        "mine/nearest/01/dqn/tanh",
+    ]
+    assert nearest[1].config.learning_starts == found.drawn()[1]["learning_starts"]
+
+
+def test_a_draw_fits_where_no_configuration_is_rejected():
+    rng = np.random.default_rng(0)
+    fits = ambiguities.judged(near(rng, 12)).assign(draw=7)
+    one_apart = near(rng, 12) | {("ppo", "relu"): near(rng, 12, 9.0)["ppo", "relu"]}
+    rejected = ambiguities.judged(one_apart).assign(draw=8)
+    few = ambiguities.judged(near(rng, 4)).assign(draw=9)  # four seeds cannot tell
+    assert ambiguities.fitting(pd.concat([fits, rejected, few])) == [7]
+    assert rejected.query("verdict == 'rejected'")["part"].tolist() == ["PPO relu"]
+    assert fits.set_index("part").loc[ambiguities.PPO_ORDER, "verdict"] == "as printed"
+    turned = near(rng, 12) | {("ppo", "tanh"): near(rng, 12)["ppo", "sigmoid"]}
+    of_order = ambiguities.judged(turned).set_index("part").loc[ambiguities.PPO_ORDER]
+    assert (of_order["value"], of_order["verdict"]) == (0.0, "not as printed")
+
+
+def test_the_surge_of_dqn_with_sigmoid_is_as_printed_where_more_than_half_of_the_rise_is_lost(tmp_path):
+    def lost(name, last):
+        levels = [-5.0] * 300 + [15.0] * 300 + [last] * 400
+        tables = [
+            rows(seed, *((1_000 * (n + 1), 9, 0, 0, 0, 9, level + seed) for n, level in enumerate(levels)))
+            for seed in range(3)
+        ]
+        path = write_run(tmp_path / name, *tables, activation="sigmoid", meta={"frames": 10**6})
+        return ambiguities.surges([Run(path)]).iloc[0]
+
+    steep, flat = lost("steep", -3.0), lost("flat", 13.0)
+    assert (steep["verdict"], flat["verdict"]) == ("as printed", "not as printed")
+    # a hundred episodes take 100,000 frames to rise from -5 to 15, a third of the stretch
+    top = 15 - 20 / 6
+    assert steep["value"] == pytest.approx((top + 3) / (top + 5), abs=0.005)
+    assert flat["value"] == pytest.approx((top - 13) / (top + 5), abs=0.005)
+
+
+def test_the_tuned_settings_of_longer_training_are_those_of_the_best_trials():
+    tried = trials.read(studies.HERE.parents[1] / "results/tuning/trials.csv", trials.COLUMNS)
+    found = studies.configurations(studies.read("longer"), studies.HERE)
+    tuning = search.plan(studies.read("tuning"), studies.HERE)
+    for one in (one for one in found if one.out.parents[1].name == "tuned"):
+        best = tuning.winner(one.config.algorithm, tried).config
+        same = {"activation": one.config.activation, "seed": 200, "n_seeds": 20, "total_frames": 10_000_000}
+        if one.config.algorithm == "dqn":
+            same |= {"exploration_fraction": best.exploration_fraction / 10}
+        assert one.config == best.replace(**same, keep_at=[0.1, 0.3])

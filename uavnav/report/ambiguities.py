@@ -1,0 +1,114 @@
+"""The study `ambiguities`: which environment the paper may have flown, by draws of what it leaves open.
+
+The draws are fitted to what DQN logs with tanh and sigmoid. The other configurations, the curve of DQN with
+sigmoid and PPO's order are held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from uavnav import stats
+from uavnav.report.claims import SURGE
+from uavnav.report.configurations import apart, order, settings_of
+from uavnav.report.frames import name
+from uavnav.report.studies import AFTER
+from uavnav.runs import Run, draws, paper
+from uavnav.runs.definitions import last_hundred
+from uavnav.runs.tables import RunError
+from uavnav.stats import Array
+
+Table = pd.DataFrame
+STUDY, DRAWS = "ambiguities", "draws"
+FOLLOW = {"frames", "layouts", "total_frames"}
+"""Settings that follow from others."""
+REJECTED = 0.05
+PPO_ORDER, SURGES = "PPO's order of rewards", "DQN sigmoid: share of the rise that is lost"
+SURGING = ("dqn", "sigmoid")
+COLUMNS = ["part", "value", "low", "high", "n", "p_holm", "verdict"]
+AS_PRINTED, NOT, OPEN = "as printed", "not as printed", "open"
+
+
+def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
+    """The study's tables by name, none where there is no such study; a line for what cannot be read.
+
+    draws: all draws, the nearest first, with their settings; ambiguities: the nearest, a row a part.
+    """
+    for home in apart(folders, STUDY):
+        try:
+            screened = draws.runs_of(home / draws.SCREEN)
+            if not screened:
+                continue
+            near = draws.distances(draws.by_draw(screened))
+            further = draws.runs_of(home / draws.NEAREST)
+        except RunError as error:
+            return {}, [str(error)]
+        settings = pd.DataFrame({number: _settings(own[0]) for number, own in screened.items()}).T
+        varied = [key for key in settings if settings[key].nunique() > 1 and key not in FOLLOW]
+        tables = {DRAWS: settings.loc[near.index, varied].join(near).rename_axis("draw").reset_index()}
+        seeds = draws.by_draw(further)
+        parts = [
+            pd.concat([judged(seeds[number]), surges(further[number])]).assign(draw=number)
+            for number in near.index
+            if number in further
+        ]
+        return tables | ({STUDY: pd.concat(parts, ignore_index=True)} if parts else {}), []
+    return {}, []
+
+
+def _settings(run: Run) -> dict[str, object]:
+    return settings_of(run.config, run.meta, run.frames)
+
+
+def judged(seeds: draws.Seeds) -> Table:
+    """How the paper's numbers fit one draw: a row a part, with a verdict.
+
+    A configuration's six metrics, as Stable-Baselines3 logs them, as one more seed: Mahalanobis' distance
+    from the seeds' mean and Hotelling's p, by Holm over the configurations. It is rejected where that is
+    below 5 %.
+    """
+    keys = sorted((key for key in seeds if key in paper.TABLES), key=order)
+    printed = {key: np.array([*paper.TABLES[key].values()]) for key in keys}
+    p_values = [stats.joint(seeds[key], printed[key])[0] for key in keys]
+    rows = []
+    for key, p_holm in zip(keys, stats.holm(p_values), strict=True):
+        distance = stats.mahalanobis([seeds[key]], printed[key])[0]
+        verdict = OPEN if np.isnan(p_holm) else "rejected" if p_holm < REJECTED else "fits"
+        rows.append([name(*key), distance, np.nan, np.nan, len(seeds[key]), p_holm, verdict])
+    reward = paper.COLUMNS.index("reward")
+    rows.append(_order({key[1]: seeds[key][:, reward] for key in keys if key[0] == "ppo"}))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _order(rewards: dict[str, Array]) -> list[object]:
+    """How often one seed of each activation would stand in the paper's order, and whether their means do."""
+    in_order = sorted(rewards, key=lambda one: -paper.printed("ppo", one, "reward"))
+    means = [rewards[one].mean() for one in in_order]
+    chance = stats.chance_of_order([rewards[one] for one in in_order]) if len(rewards) > 1 else np.nan
+    verdict = AS_PRINTED if means == sorted(means, reverse=True) else NOT
+    return [PPO_ORDER, chance, np.nan, np.nan, min(map(len, rewards.values()), default=0), np.nan, verdict]
+
+
+def surges(runs: Sequence[Run]) -> Table:
+    """The share of the rise in the reward that DQN with sigmoid logs, from the first 300,000 frames to the
+    next, that is lost in the last 100,000; as printed where it is more than half.
+    """
+    rows = []
+    for run in (one for one in runs if (one.algorithm, one.config["activation"]) == SURGING):
+        windows = [(0, SURGE[0]), SURGE, (run.frames - AFTER, run.frames)]
+        before, surge, after = last_hundred(run.episodes, "reward", windows).dropna().to_numpy().T
+        lost = stats.ratio(surge - after, surge - before)
+        verdict = AS_PRINTED if lost.low > 0.5 else NOT if lost.high < 0.5 else OPEN
+        rows.append([SURGES, *lost, np.nan, verdict])
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def fitting(found: Table) -> list[int]:
+    """The draws of which the paper's numbers reject no configuration, and all of them can tell."""
+    of_tables = found[~found["part"].isin([PPO_ORDER, SURGES])]
+    by_draw = of_tables.groupby("draw", sort=False)["verdict"].agg(lambda one: (one == "fits").all())
+    return [int(number) for number in by_draw.index[by_draw]]

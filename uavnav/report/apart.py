@@ -1,0 +1,77 @@
+"""Rows of a study that lies apart from those that answer for the paper: in a folder of its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavnav.report.configurations import apart, one_line
+from uavnav.report.frames import RULE, name, to_rule
+from uavnav.runs import Run, run_folders
+from uavnav.runs.metrics import EVALUATED, MODES
+from uavnav.runs.tables import RunError, read_table
+from uavnav.stats import Array
+from uavnav.tasks.protocol import SCRIPTS
+
+
+class Flight(NamedTuple):
+    """An evaluation of a run, or of a scripted policy."""
+
+    who: str  # the configuration, or the scripted policy
+    run: Run | None  # None: of a scripted policy
+    how: dict[str, Any]  # `layouts`, `max_steps`, `faults`, and `at`, the share of training
+    reward: Array  # a seed's mean over sampled episodes, [S]
+    gap: Array  # the same minus the reward of the scripted policy `reactive` on the same layouts, [S]
+
+
+def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str]]:
+    """All evaluations of a study, and a line for what cannot be read; seeds are in order.
+
+    Raises:
+        RunError: a folder cannot be read.
+    """
+    found, left_out = [], []
+    for home in apart(folders, study):
+        scripted, rules = [], {}
+        for path in sorted((home / "baselines").glob("*.parquet")):
+            rows = read_table(path, EVALUATED, "evaluate it again")
+            scripted.append((path.name.split("-")[0].removesuffix(path.suffix), rows))
+            if scripted[-1][0] == RULE:
+                rules[_key(rows)] = rows
+        none = pd.DataFrame()
+        found += [
+            _flight(who, None, rows, rules.get(_key(rows), none)) for who, rows in scripted if who in SCRIPTS
+        ]
+        for path in run_folders(home)[0]:
+            try:
+                run = Run(path, rows=False)
+                who = name(run.algorithm, run.config["activation"])
+                found += [_flight(who, run, rows, rules.get(_key(rows), none)) for rows in _sampled(run)]
+            except RunError as error:
+                left_out.append(one_line(error))
+    return found, left_out
+
+
+def _sampled(run: Run) -> Iterator[pd.DataFrame]:
+    for path in run.evaluations():
+        rows = read_table(path, EVALUATED | {"mode": "object"}, "evaluate the run again")
+        yield rows[rows["mode"] == MODES[1]]
+
+
+def _how(rows: pd.DataFrame) -> dict[str, Any]:
+    said = {str(key): value for key, value in rows.attrs.items()}
+    return {"layouts": "test", "faults": "none", "at": 1.0} | said
+
+
+def _key(rows: pd.DataFrame) -> tuple[Any, ...]:
+    """What the episodes of a policy and of a scripted one must have in common."""
+    return tuple(_how(rows).get(key) for key in ("layouts", "episodes", "max_steps", "faults"))
+
+
+def _flight(who: str, run: Run | None, rows: pd.DataFrame, rule: pd.DataFrame) -> Flight:
+    gap = np.empty(0) if rule.empty or rows.empty else to_rule(rows, rule)
+    return Flight(who, run, _how(rows), rows.groupby("seed")["reward"].mean().to_numpy(), gap)

@@ -1,0 +1,147 @@
+"""The study `longer`: who leads after 1, 3 and 10 million frames, by how much, and who passes the scripted
+policy.
+
+Who leads is chosen on validation layouts and judged on test layouts. Letters: S seeds of a configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from uavnav import stats, style
+from uavnav.report.apart import Flight, flights
+from uavnav.report.frames import RULE
+from uavnav.runs import Run
+from uavnav.stats import Array
+from uavnav.tasks.protocol import MAX_STEPS
+
+Table = pd.DataFrame
+STUDY = "longer"
+NEAR = 0.1
+"""A change within this share of the reward before it counts as none."""
+NONE = stats.Interval(np.nan, np.nan, np.nan, 0)
+
+
+class Where(NamedTuple):
+    """Which configuration, and how it was flown."""
+
+    settings: str  # default, fast or tuned
+    algorithm: str
+    activation: str
+    layouts: str
+    limit: int  # of an episode's steps
+    frames: int  # of training
+
+
+def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
+    """The study's table by its name, none where there is no such study; a line for what cannot be read."""
+    found, left_out = flights(folders, STUDY)
+    flown = {_where(one, one.run): one for one in found if one.run is not None and len(one.reward)}
+    rules = [one for one in found if one.who == RULE]
+    scripted = {(one.how["layouts"], one.how["max_steps"]): float(one.reward.mean()) for one in rules}
+    rewards, gaps = ({where: getattr(one, of) for where, one in flown.items()} for of in ("reward", "gap"))
+    return ({STUDY: table(rewards, gaps, scripted)} if flown else {}), left_out
+
+
+def _where(one: Flight, run: Run) -> Where:
+    settings, frames = run.path.parent.parent.name, round(one.how["at"] * run.config["total_frames"])
+    names = settings, run.algorithm, run.config["activation"]
+    return Where(*names, one.how["layouts"], one.how["max_steps"], frames)
+
+
+def table(
+    rewards: Mapping[Where, Array], gaps: Mapping[Where, Array], scripted: Mapping[tuple[str, int], float]
+) -> Table:
+    """A row a configuration, split, time limit and length of training.
+
+    rewards, gaps: of the seeds, [S] each, in the same order; scripted: the scripted policy's reward by split
+    and time limit. Columns: n and `value`, the reward; `gap` to the scripted policy, and how many seeds are
+    `above` it; `gain` over the length before, seed by seed, and its `trend`; `lead` over the best
+    configuration of the other algorithm, and whether it `leads` all. The best are chosen on `validation`.
+    """
+    algorithms = {where.algorithm for where in rewards}
+    rows = []
+    for where, own in rewards.items():
+        other = best(rewards, where, algorithms - {where.algorithm})
+        shorter = max((one.frames for one in rewards if one.frames < where.frames), default=0)
+        before = rewards.get(where._replace(frames=shorter))
+        gain = NONE if before is None else stats.difference([own - before], [])
+        intervals = {
+            "": stats.difference([own], []),
+            "gap_": stats.difference([gaps[where]], []),
+            "lead_": NONE if other is None else stats.difference([own], [rewards[other]]),
+            "gain_": gain,
+        }
+        row: dict[str, Any] = where._asdict() | {"n": len(own), "above": int((gaps[where] > 0).sum())}
+        for name, found in intervals.items():
+            row |= dict(zip((name[:-1] or "value", f"{name}low", f"{name}high"), found[:3], strict=True))
+        row["trend"] = "" if before is None else trend(gain, before.mean())
+        row["leads"] = best(rewards, where, algorithms) == where
+        row["scripted"] = scripted.get((where.layouts, where.limit), np.nan)
+        rows.append(row)
+    by = ["layouts", "limit", "frames", "algorithm", "settings", "activation"]
+    return pd.DataFrame(rows).sort_values(by, ignore_index=True)
+
+
+def best(rewards: Mapping[Where, Array], where: Where, algorithms: Collection[str]) -> Where | None:
+    """Of some algorithms, the configuration that earns most on validation layouts with the same time limit
+    and length, as it was flown on the layouts of `where`; None where there is none.
+    """
+    judged = {
+        one: own.mean()
+        for one, own in rewards.items()
+        if one[3:] == ("validation", *where[4:]) and one.algorithm in algorithms
+    }
+    found = max(judged, key=lambda one: judged[one])._replace(layouts=where.layouts) if judged else None
+    return found if found in rewards else None
+
+
+def trend(gain: stats.Interval, before: float) -> str:
+    """Whether a reward changes with longer training, from the 95 % interval of its change: `rises`, `falls`,
+    `saturated` where the interval lies within `NEAR` of the reward before, else `open`.
+    """
+    near = NEAR * abs(before)
+    if -near <= gain.low and gain.high <= near:
+        return "saturated"
+    return "rises" if gain.low > 0 else "falls" if gain.high < 0 else "open"
+
+
+@matplotlib.rc_context(style.STYLE)
+def figure(found: Table, width: float = style.WIDTH) -> style.Drawn:
+    """Reward on test layouts by frames of training, a panel an algorithm with its settings."""
+    shown = found[(found["layouts"] == "test") & (found["limit"] == MAX_STEPS)]
+    panels = [*shown.groupby(["algorithm", "settings"], sort=False)]
+    columns = 3 if width >= style.WIDTH else 2
+    rows = -(-len(panels) // columns)
+    drawn = Figure(figsize=(width, 2.3 * rows + 0.6), layout="constrained")
+    grid = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    said = []
+    for axes, ((algorithm, settings), panel) in zip(grid, panels, strict=False):
+        for activation, line in panel.groupby("activation", sort=False):
+            ends = np.abs(line[["low", "high"]].to_numpy().T - line["value"].to_numpy())
+            look = {"color": style.COLOURS[activation], "marker": "o", "capsize": 3, "label": activation}
+            axes.errorbar(line["frames"] / 1e6, line["value"], ends, **look)
+            last = line.iloc[-1]
+            said.append(f"{algorithm.upper()} {settings} {activation} {style.number(last['value'])}")
+        axes.axhline(panel["scripted"].iloc[0], **style.RULED)
+        axes.set_xscale("log")
+        ticks = sorted(shown["frames"].unique() / 1e6)
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+        axes.set_title(f"{algorithm.upper()} {settings}")
+    for axes in grid[len(panels) :]:
+        axes.set_visible(False)
+    drawn.supxlabel("million frames", fontsize=12)
+    drawn.supylabel("reward per episode", fontsize=12)
+    handles = [
+        style.mark("o", name, markerfacecolor=style.COLOURS[name]) for name in shown["activation"].unique()
+    ]
+    style.legend(drawn, [*handles, matplotlib.lines.Line2D([], [], label=style.RULE, **style.RULED)], 3)
+    return style.Drawn(drawn, f"Reward on test layouts after the longest training: {'; '.join(said)}.")

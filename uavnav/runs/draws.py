@@ -1,0 +1,68 @@
+"""What a study that draws settings leaves for others to read: how far draws are from the paper's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from uavnav import stats
+from uavnav.algorithms import ALGORITHMS
+from uavnav.runs import Run, paper, run_folders
+from uavnav.runs.definitions import log_curve
+from uavnav.stats import Array
+
+SCREEN, NEAREST = "screen", "nearest"
+"""Folders of a study: its draws, a number each, and those that are trained further."""
+DISTANCE = "distance"
+"""Column of `distances`: joint, of all configurations of a draw."""
+Seeds = Mapping[tuple[str, str], Array]
+"""By algorithm and activation: the paper's metrics as Stable-Baselines3 logs them, [S, 6]."""
+
+
+def logged(run: Run) -> Array:
+    """The paper's metrics of each seed as Stable-Baselines3 logs them: [S, 6]; a seed without a log is left
+    out.
+    """
+    rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
+    assert rhythm is not None, run.algorithm
+    table = log_curve(run.episodes, run.frames, *rhythm)
+    return table[list(paper.COLUMNS)].dropna().to_numpy()
+
+
+def runs_of(folder: Path) -> dict[int, list[Run]]:
+    """The runs of each draw, by its number, which is the name of its folder in a folder; none where there is
+    no such folder.
+
+    Raises:
+        RunError: a run is damaged, or not finished.
+    """
+    places = sorted(path for path in folder.glob("*") if path.name.isdecimal())
+    return {int(path.name): [Run(one) for one in run_folders(path)[0]] for path in places}
+
+
+def by_draw(runs: Mapping[int, Iterable[Run]]) -> dict[int, Seeds]:
+    """What each draw's runs log."""
+    return {
+        number: {(run.algorithm, run.config["activation"]): logged(run) for run in own}
+        for number, own in runs.items()
+    }
+
+
+def distances(draws: Mapping[int, Seeds]) -> pd.DataFrame:
+    """How far the paper's printed rows are from the draws, the nearest first: index draw, a column a
+    configuration, and `distance`.
+
+    Of a configuration it is Mahalanobis' over the six metrics (`stats.mahalanobis`); seeds of different
+    configurations are independent, so that the squares of these add up.
+    """
+    columns = {}
+    for algorithm, activation in dict.fromkeys(key for own in draws.values() for key in own):
+        seeds = [own[algorithm, activation] for own in draws.values()]
+        printed = np.array([*paper.TABLES[algorithm, activation].values()])
+        columns[f"{algorithm.upper()} {activation}"] = stats.mahalanobis(seeds, printed)
+    table = pd.DataFrame(columns, pd.Index([*draws], name="draw"))
+    table[DISTANCE] = np.sqrt((table**2).sum(axis=1, skipna=False))
+    return table.sort_values(DISTANCE, kind="stable")

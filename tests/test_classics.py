@@ -147,7 +147,7 @@ def test_what_a_script_cannot_see_is_refused_in_one_line(name, world, told):
     ("name", "task", "world", "least"),
     [
         *[(name, "drone", None, 3.0) for name in ("apf", "vfh", "dwa")],
-        *[(name, "goal", None, 8.0) for name in ("apf", "vfh", "dwa")],
+        *[(name, "goal", None, 7.0) for name in ("apf", "vfh", "dwa")],
         *[("orca", "moving", {"sense_velocity": True}, -3.0), ("apf", "space", None, 0.0)],
     ],
 )

@@ -128,7 +128,7 @@ def dwa(
     apart = (arcs**2).sum(-1).reshape(-1, 1) + (centre**2).sum(-1)[..., None, :]
     apart = apart - 2 * (arcs.flatten(0, 1) @ centre.mT)
     hit = (apart < (body + world.drone_radius) ** 2) & ~slots.empty[..., None, :]
-    free = (~hit.any(-1)).unflatten(-1, arcs.shape[:2]).cumprod(-1).float().mean(-1)
+    free = (~hit.any(-1)).reshape(*hit.shape[:-2], *arcs.shape[:2]).cumprod(-1).float().mean(-1)
     nearer = slots.distance[..., None, :] - each.to @ slots.towards.mT
     moving = (each.distance > 0) | (each.turn != 0).any(-1)
     safe = moving & ((nearer > world.drone_radius + MARGIN) | slots.empty[..., None, :]).all(-1)

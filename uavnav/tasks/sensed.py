@@ -38,8 +38,9 @@ def seen(observation: Tensor, world: World) -> Seen:
     slots = observation[..., : world.n_slots * width].reshape(*observation.shape[:-1], world.n_slots, width)
     towards = slots[..., :axes]
     distance = world.drone_radius + slots[..., axes] * (world.sensor_radius - world.drone_radius)
-    moves = width > axes + 1 and isinstance(world, MovingWorld)
-    velocity = slots[..., axes + 1 :] * world.speed_max if moves else torch.zeros_like(towards)
+    velocity = torch.zeros_like(towards)
+    if isinstance(world, MovingWorld) and world.sense_velocity:
+        velocity = slots[..., axes + 1 :] * world.speed_max
     return Seen(towards, distance, (towards == 0).all(-1), velocity)
 
 

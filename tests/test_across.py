@@ -16,7 +16,7 @@ from uavnav.runs.metrics import PER_EPISODE
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.ladders import LADDERS
-from uavnav.tasks.protocol import GROUPS, LADDER_NAMES, SPLITS
+from uavnav.tasks.protocol import GROUPS, LADDER_NAMES, SPLITS, USUAL
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
@@ -209,7 +209,7 @@ def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it
     assert main(words) == 0
     said = json.loads(capsys.readouterr().out)
     assert {one["ladder"] for one in said} == {"arc", "sticky"}
-    assert {one["name"] for one in said} == {str(run.path), *BASELINES}
+    assert {one["name"] for one in said} == {str(run.path), *USUAL}
     kept = pd.read_parquet(run.path / "across-arc-2-20.parquet")
     assert len(kept) == 4 * 2 * 2 * 2  # rungs, modes, seeds, sets
     assert kept.attrs == {"ladder": "arc", "episodes": 2, "max_steps": 20}

@@ -95,8 +95,10 @@ def test_reactive_goes_straight_as_long_as_9_px_towards_the_obstacle_leave_30(
 
 @pytest.mark.parametrize("name", BASELINES)
 @pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
-def test_each_of_3_baselines_answers_every_batch_shape_with_whole_numbers_below_100(name, shape):
-    action = BASELINES[name](torch.rand(*shape, 30), torch.Generator().manual_seed(0))
+def test_each_script_answers_every_batch_shape_with_whole_numbers_below_100(name, shape):
+    action = BASELINES[name](
+        torch.rand(*shape, 50 if name == "orca" else 30), torch.Generator().manual_seed(0)
+    )
     assert action.shape == shape
     assert action.dtype == torch.int64
     assert ((action >= 0) & (action < 100)).all()

@@ -3,6 +3,7 @@ code, against Python's.
 """
 
 import base64
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from uavnav.networks import ACTIVATIONS, KNOWN
 from uavnav.runs import paper
 from uavnav.runs.metrics import per_episode
 from uavnav.tasks import goal, layouts, slalom
-from uavnav.tasks.baselines import BASELINES, dodge, towards_goal
+from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.dynamics import COSINE, SINE, decode
 from uavnav.tasks.sensing import sense
 from uavnav.tasks.state import COUNTS
@@ -359,17 +360,24 @@ def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, o
     assert differ.sum() >= 15  # negative control: without faults other things are seen
 
 
-@pytest.mark.parametrize(("name", "expected"), [("moving", dodge), ("goal", towards_goal)])
-def test_reactive_in_other_worlds_chooses_as_in_python_in_999_of_1000_poses(chrome, opened, name, expected):
+@pytest.mark.parametrize(
+    ("name", "script"),
+    [
+        ("moving", "reactive"),
+        ("goal", "reactive"),
+        *itertools.product(["drone", "moving", "goal"], ["apf", "vfh"]),
+    ],
+)
+def test_scripts_in_all_worlds_choose_as_in_python_in_999_of_1000_poses(chrome, opened, name, script):
     task, random = make_task("test", task=name), torch.Generator().manual_seed(2)
     x, y = (torch.rand(2000, generator=random) * (side - 100) + 50 for side in (800, 600))
     heading, steps = (torch.randint(n, (2000,), generator=random) for n in (360, 1000))
     state = task.start(torch.arange(2000) % 1000, heading)._replace(x=x, y=y, steps=steps)
     seen = task.observe(state)[0]
-    words = "const [name, seen] = arguments, { world, rules } = playground.data.tasks[name];"
-    words += "return seen.map((one) => REACTIONS[name](world, Float32Array.from(one), rules));"
-    mine = torch.tensor(chrome.execute_script(words, name, seen.double().tolist()))
-    assert (mine == expected(seen)).float().mean() >= 0.999
+    words = "const [script, name, seen] = arguments, task = playground.data.tasks[name];"
+    words += "return seen.map((one) => SCRIPTED[script](name, task, Float32Array.from(one)));"
+    mine = torch.tensor(chrome.execute_script(words, script, name, seen.double().tolist()))
+    assert (mine == suited(BASELINES[script], task)(seen, None)).float().mean() >= 0.999
     assert len(mine.unique()) >= 10
 
 

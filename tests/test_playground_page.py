@@ -35,10 +35,9 @@ from uavnav.report import frames
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, per_episode
 from uavnav.tasks import goal, layouts
-from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.table import make_task
-from uavnav.views.browser.playground import SETTINGS, WORLDS, Opening, collect, page
+from uavnav.views.browser.playground import SCRIPTED, SETTINGS, WORLDS, Opening, collect, page
 
 pytestmark = pytest.mark.slow
 
@@ -536,7 +535,7 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
     )
     assert ask(browser, "playground.scene.focus") == 1  # a drone that can fly
     options = Select(one(browser, "#pilot")).options
-    assert {option.text for option in options if option.is_enabled()} == {"you", "nobody", *SCRIPTS}
+    assert {option.text for option in options if option.is_enabled()} == {"you", "nobody", *SCRIPTED}
     choice.select_by_value("drone")
     assert ask(browser, "playground.race.flying().length") == 3
 

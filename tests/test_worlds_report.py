@@ -20,7 +20,7 @@ from uavnav.report.configurations import apart
 from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import LADDERS
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import USUAL
 
 NOTHING = {}, {}, pd.DataFrame(), []
 """Of scripts, rungs, runs and what was left out."""
@@ -236,7 +236,7 @@ def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
     assert start == f"{tmp_path}/rows: no rows of random, straight, reactive"
     assert commands.run("evaluate", [*shlex.split(words), "--quiet"]) == 0
     found, left_out = rows_of_scripts([tmp_path / "rows"], protocol)
-    assert ([*found], left_out) == ([*SCRIPTS], [])
+    assert ([*found], left_out) == ([*USUAL], [])
     assert {rule: own["seed"].nunique() for rule, own in found.items()} == {
         "random": SEEDS,
         "straight": 1,

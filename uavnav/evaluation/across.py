@@ -28,7 +28,7 @@ from uavnav.runs.policies import Policy, by_mode, load_policies
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure
-from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
+from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS, USUAL
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import display, machine
@@ -161,9 +161,9 @@ def draw(
     figure = Figure(figsize=(width, 1 + 2.5 * len(measures)), layout="constrained")
     panels = figure.subplots(len(measures), 1, sharex=True)
     names = list(dict.fromkeys(mine["name"]))
-    learned = [name for name in names if name not in BASELINES]
+    learned = [name for name in names if name not in USUAL]
     colour_of = PILOTS | dict(zip(learned, colours(kinds[name] for name in learned), strict=True))
-    lines = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
+    lines = dict(zip(USUAL, (":", "-.", "--"), strict=True))
     for axes, measure in zip(panels, measures, strict=True):
         for name, own in mine[mine["measure"] == measure].groupby("name", sort=False):
             colour, line = colour_of[str(name)], lines.get(str(name), "-")
@@ -266,7 +266,7 @@ def across(
     if not alone and (scripted.world.n_turns, scripted.world.n_distances) != (turns, distances):
         tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
     elif not alone:
-        beside = [name for name in BASELINES if name not in tasks]
+        beside = [name for name in USUAL if name not in tasks]
         flyers = [*flyers, *(Flyer(name, {"scripted": {0: BASELINES[name]}}) for name in beside)]
     limits = {one.name: max_steps or (one.task or scripted).limit(ACROSS_STEPS) for one in flyers}
     if len(set(limits.values())) > 1:

@@ -16,7 +16,7 @@ from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.faults import NO_FAULTS
-from uavnav.tasks.protocol import DRAWS, SCRIPTS
+from uavnav.tasks.protocol import DRAWS, SCRIPTS, USUAL
 from uavnav.tasks.table import name_of
 from uavnav.tasks.wrapper import WrappedTask
 
@@ -27,8 +27,8 @@ REWARDS = {"drone": 428.13, "goal": 10.89, "moving": 14.73, "space": 368.36, "sp
 
 
 def missing(folder: Path, protocol: Protocol) -> list[str]:
-    """The scripted policies whose rows are not in a folder."""
-    return [name for name in SCRIPTS if not (folder / protocol.file(name)).exists()]
+    """The usual scripted policies whose rows are not in a folder."""
+    return [name for name in USUAL if not (folder / protocol.file(name)).exists()]
 
 
 def protocol_in(task: WrappedTask, layouts: str, episodes: int, max_steps: int) -> Protocol | None:
@@ -42,16 +42,18 @@ def protocol_in(task: WrappedTask, layouts: str, episodes: int, max_steps: int) 
 def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """Rows of scripted policies by name, from the first folder that has them; a line for what cannot be used.
 
-    Each line names the command that writes the rows.
+    Only the usual ones are missed. Each line names the command that writes the rows.
     """
     found, left_out = {}, []
-    absent = [name for name in SCRIPTS if all(name in missing(folder, protocol) for folder in folders)]
+    has = {
+        name: [folder for folder in folders if (folder / protocol.file(name)).exists()] for name in SCRIPTS
+    }
+    absent = [name for name in USUAL if not has[name]]
     if absent:
         left_out.append(
             f"{folders[0]}: no rows of {', '.join(absent)}; {_command(absent, folders[0], protocol)}"
         )
-    for name in (name for name in SCRIPTS if name not in absent):
-        folder = next(folder for folder in folders if name not in missing(folder, protocol))
+    for name, (folder, *_) in ((name, own) for name, own in has.items() if own):
         path, again = folder / protocol.file(name), _command([name], folder, protocol)
         try:
             rows = read_table(path, EVALUATED, again)

@@ -10,9 +10,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from uavnav.tasks.classics import apf, dwa, orca, vfh
 from uavnav.tasks.goal import SCALE, GoalWorld
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.sensed import MARGIN, seen
 from uavnav.tasks.space import SpaceWorld, decode
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
@@ -23,7 +25,6 @@ AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
 WORLD = World()
 FULL_SPEED = WORLD.n_distances - 1  # straight ahead, 9 px
 LEFT_IN_PLACE = WORLD.n_turns // 2 * WORLD.n_distances  # 5 degrees, 0 px
-MARGIN = 0.01  # [px] against rounding
 GOAL = GoalWorld()
 WITH_GOAL = GOAL.observation_size
 
@@ -60,20 +61,9 @@ def _of_size(observation: Tensor) -> World:
     return WORLD if observation.shape[-1] % WORLD.observation_size == 0 else MovingWorld(sense_velocity=True)
 
 
-def _seen(observation: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
-    """The slots of the newest observation: directions [..., S, axes], the last of them forward, distances
-    [..., S] px, and which are empty [..., S] bool.
-    """
-    width, axes = len(world.slot_low), len(world.size)
-    slots = observation[..., : world.n_slots * width].reshape(*observation.shape[:-1], world.n_slots, width)
-    towards = slots[..., :axes]
-    distance = world.drone_radius + slots[..., axes] * (world.sensor_radius - world.drone_radius)
-    return towards, distance, (towards == 0).all(-1)
-
-
 def _safe_ahead(observation: Tensor, world: World) -> Tensor:
     """Whether nothing that is sensed can be touched by a step straight ahead at full speed [...] bool."""
-    towards, distance, empty = _seen(observation, world)
+    towards, distance, empty, _ = seen(observation, world)
     closest = distance - FULL_SPEED * towards[..., -1]
     if world.padding == "zeros":  # else an empty slot is as far as the sensor reaches
         closest = torch.where(empty, torch.inf, closest)
@@ -96,7 +86,7 @@ def towards_goal(
     world: as of `reactive`.
     """
     world = world or GOAL
-    towards, distance, empty = _seen(observation, world)
+    towards, distance, empty, _ = seen(observation, world)
     right, forward, away = observation[..., world.observation_size - 3 : world.observation_size].unbind(-1)
     ahead = torch.deg2rad(BEARINGS)
     along = towards @ torch.stack([ahead.sin(), ahead.cos()])  # [..., slots, bearings]
@@ -154,7 +144,7 @@ def dodge(
     looks at no sensed velocities. world: as of `reactive`.
     """
     world = world or _of_size(observation)
-    towards, distance, empty = _seen(observation, world)
+    towards, distance, empty, _ = seen(observation, world)
     centre = torch.where(empty[..., None], torch.inf, towards * (distance + BODY)[..., None])
     apart = (PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)  # [..., ways, steps]
     clear = (apart - BODY - world.drone_radius - DRIFT * torch.arange(1, STEPS + 1)).amin(-1)
@@ -218,7 +208,7 @@ def dodge_in_the_box(
     """As `dodge`, of 67 ways of 10 steps that turn to eight sides, where straight on is not clear; it knows
     nothing of its pitch, which may be at its end. world: what is sensed.
     """
-    towards, distance, empty = _seen(observation, world)
+    towards, distance, empty, _ = seen(observation, world)
     centre = torch.where(empty[..., None], torch.inf, towards * (distance + SPHERE)[..., None])
     apart = (BOX_PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)
     clear = (apart - SPHERE - world.drone_radius - DRIFT * torch.arange(1, LOOKED_AHEAD + 1)).amin(-1)
@@ -234,8 +224,8 @@ def chosen_among(world: World) -> tuple[int, int]:
 
 def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
     """The policy that a name stands for in a task: a box has its own `straight`, and `reactive` is a
-    rule for what stands still, what moves, or a goal, that knows the task's world. Other policies are as they
-    are.
+    rule for what stands still, what moves, or a goal. It and the classics know the task's world. Other
+    policies are as they are.
 
     Raises:
         ValueError: a script is to fly where there are other turns and distances than it chooses among.
@@ -248,16 +238,18 @@ def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
         raise ValueError(
             f"{given}: scripts choose among {turns} turns and {distances} distances; leave them out"
         )
-    if policy is not reactive:
+    if policy in (uniform_random, straight_ahead):
         return straight_in_the_box if isinstance(own, SpaceWorld) and policy is straight_ahead else policy
-    rule: Callable[..., Tensor]
-    if isinstance(own, SpaceWorld):
+    rule: Callable[..., Tensor] = policy
+    if policy is reactive and isinstance(own, SpaceWorld):
         rule = reactive_in_the_box if task.STATIC else dodge_in_the_box
-    elif task.STATIC:
-        rule = towards_goal if isinstance(own, GoalWorld) else reactive
-    else:
+    elif policy is reactive and not task.STATIC:
         rule = dodge
+    elif policy is reactive and isinstance(own, GoalWorld):
+        rule = towards_goal
     return functools.partial(rule, world=own.replace(sensor_radius=task.trained_reach or own.sensor_radius))
 
 
-BASELINES: dict[str, AnyPolicy] = dict(zip(SCRIPTS, (uniform_random, straight_ahead, reactive), strict=True))
+BASELINES: dict[str, AnyPolicy] = dict(
+    zip(SCRIPTS, (uniform_random, straight_ahead, reactive, apf, vfh, dwa, orca), strict=True)
+)

@@ -30,10 +30,12 @@ LIMITS = {"goal": 1_000}
 """The time limits of tasks that have their own, in training and in evaluation."""
 
 
-SCRIPTS = ("random", "straight", "reactive")
-"""Policies that need no training; what they do is in `baselines`."""
+USUAL = ("random", "straight", "reactive")
+"""Policies that need no training, which learned ones fly beside; what they do is in `baselines`."""
+SCRIPTS = (*USUAL, "apf", "vfh", "dwa", "orca")
+"""All of them, with those of `classics`."""
 DRAWS = "random"
-"""The one of them that draws its actions, so that its seeds differ."""
+"""The one that draws its actions, so that its seeds differ."""
 
 TASK_NAMES = ("drone", "moving", "goal", "space", "space-moving")
 """The names in `table.TASKS`, in its order."""

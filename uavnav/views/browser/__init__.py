@@ -7,11 +7,12 @@ folder `playground` flies live. A page contains the scripts that it needs, one a
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uavnav.tasks import baselines, goal, slalom
+from uavnav.tasks import baselines, classics, goal, slalom
 from uavnav.tasks.table import TASKS
 
 HERE = Path(__file__).parent
@@ -29,6 +30,11 @@ MOVING["ways"] = [
     ([[round(part, 4) for part in place] for place in places.tolist()], int(first), round(float(worth), 4))
     for places, first, worth in zip(baselines.PLACES, baselines.FIRST, baselines.WORTH, strict=True)
 ]
+CLASSICS: dict[str, dict[str, Any]] = {
+    one.__name__: {name: of.default for name, of in [*inspect.signature(one).parameters.items()][3:]}
+    for one in (classics.apf, classics.vfh)
+}
+CLASSICS["vfh"] |= {"sectors": classics.SECTORS.tolist(), "aside": classics.ASIDE}
 RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "moving": MOVING, "goal": GOAL}
 """What a task's layouts and its scripted policy need, besides its constants."""
 TITLES = {"drone": "the paper's task", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
@@ -41,7 +47,11 @@ def constants() -> dict[str, dict[str, Any]]:
     """What `world.js` needs of each world, by its name there: constants, the time limit, and `RULES`."""
     kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is only a layout file
     return {
-        name: {"world": kind.WORLD().model_dump(), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
+        name: {
+            "world": kind.WORLD().model_dump(),
+            "max_steps": kind.MAX_STEPS,
+            "rules": RULES.get(name, {}) | {"classics": CLASSICS},
+        }
         for name, kind in kinds.items()
     }
 

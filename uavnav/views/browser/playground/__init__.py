@@ -33,7 +33,7 @@ from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.protocol import DEFAULT_K, EPISODES, MAX_STEPS, SPLITS
+from uavnav.tasks.protocol import DEFAULT_K, EPISODES, MAX_STEPS, SPLITS, USUAL
 from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.table import name_of
 from uavnav.tasks.world import World
@@ -53,6 +53,8 @@ DRONES = 4
 """In a race."""
 ALL_SPLITS = ("test", "validation", "train")
 """Of each of them a page contains the first `EPISODES` layouts."""
+SCRIPTED = (*USUAL, *browser.CLASSICS)
+"""Scripted policies that the page has."""
 FIRST_LAYOUT = 3
 """That the page begins with."""
 
@@ -131,8 +133,10 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
     named: dict[str, str] = {}  # what was named -> the key of its policy
     runs: dict[str, bool] = {}  # path -> whether it was named itself
     for word in map(str, words):
-        if word in BASELINES:
+        if word in SCRIPTED:
             named[word] = word
+        elif word in BASELINES:
+            _refuse(word, f"the playground has no such scripted policy; it has {', '.join(SCRIPTED)}")
         elif Path(word) == shipped.FOLDER:
             runs |= dict.fromkeys(shipped.shipped(), False)
         elif os.path.isdir(word) and not os.path.isfile(Path(word) / POLICY) and not is_zip(word):

@@ -1,5 +1,5 @@
 /*
- * The scripted policies of uavnav/tasks/baselines.py: functions of what is sensed.
+ * The scripted policies of uavnav/tasks/baselines.py and classics.py: functions of what is sensed.
  */
 
 const MARGIN = 0.01; // [px] against rounding
@@ -65,6 +65,70 @@ function dodge(world, observation, { ways, body, drift, enough }) {
   return chosen;
 }
 
+/** Where to fly: [right, forward, px]; straight ahead where no goal is sensed. */
+function targetOf(world, observation, { scale }) {
+  const [right, forward, away] = observation.subarray(3 * world.n_slots);
+  return scale === undefined ? [0, 1, Infinity] : [right, forward, away * scale];
+}
+
+/** The action whose displacement is nearest to a wanted one [px]; see uavnav/tasks/sensed.py. */
+function steer(world, [right, forward], tolerance) {
+  const isAhead = forward >= Math.hypot(right, forward) * Math.cos(radians(tolerance));
+  let [chosen, most] = [0, -Infinity];
+  for (let action = 0; action < world.n_turns * world.n_distances; action += 1) {
+    const [degrees, pixels] = decode(world, action);
+    const along = forward * Math.cos(radians(degrees)) - right * Math.sin(radians(degrees));
+    const score = pixels * (2 * along - pixels) + 0.01 * along;
+    if (score > most && !(isAhead && degrees !== 0)) [chosen, most] = [action, score];
+  }
+  return chosen;
+}
+
+/** Artificial potential field: the target pulls, each body within reach pushes. */
+function apf(world, observation, rules) {
+  const { gain, reach, tolerance } = rules.classics.apf;
+  let [right, forward, away] = targetOf(world, observation, rules);
+  for (const echo of echoesIn(world, observation).filter(hasDirection)) {
+    const rho = Math.max(echo.distance - world.drone_radius, 1);
+    const push = rho > reach ? 0 : (gain * (1 / rho - 1 / reach)) / rho ** 2;
+    right -= push * echo.right;
+    forward -= push * echo.forward;
+  }
+  const pace = Math.min(away, world.n_distances - 1) / Math.max(Math.hypot(right, forward), 1e-6);
+  return steer(world, [pace * right, pace * forward], tolerance);
+}
+
+/** Vector field histogram, VFH+: towards the cheapest opening between sectors that bodies block. */
+function vfh(world, observation, rules) {
+  const { window, spare, wide, sectors, aside } = rules.classics.vfh;
+  const [right, forward, away] = targetOf(world, observation, rules);
+  const reach = Math.min(away, window) + world.drone_radius;
+  const near = echoesIn(world, observation).filter((echo) => hasDirection(echo) && echo.distance < reach);
+  const isBlocked = (sector) =>
+    near.some((echo) => {
+      const half = Math.asin(Math.min((world.drone_radius + spare) / echo.distance, 1));
+      return Math.abs(radians(sector) - Math.atan2(echo.right, echo.forward)) <= half;
+    });
+  const blocked = sectors.map(isBlocked);
+  const aim = Math.atan2(right, forward) / radians(1);
+  let [wanted, least] = [-90, Infinity];
+  sectors.forEach((sector, at) => {
+    const [before, after] = [blocked.lastIndexOf(true, at), blocked.indexOf(true, at)];
+    const [left, open] = [before < 0 ? Infinity : at - before, after < 0 ? Infinity : after - at];
+    const cost = 5 * Math.abs(((sector - aim + 540) % 360) - 180) + 2 * Math.abs(sector);
+    const isOpen = Math.min(left, open) >= wide || Math.abs(left - open) <= 1;
+    if (!blocked[at] && isOpen && cost < least) [wanted, least] = [sector, cost];
+  });
+  const most = Math.floor(world.n_turns / 2);
+  const angle = clamp(-wanted, most + 1 - world.n_turns, most);
+  const densities = near.map((echo) => {
+    const along = echo.forward * Math.cos(radians(angle)) - echo.right * Math.sin(radians(angle));
+    return Math.max(along, 0) * (1 - (echo.distance - world.drone_radius) / window);
+  });
+  const pace = (world.n_distances - 1) * (1 - Math.max(0, ...densities)) * Math.max(0, 1 - Math.abs(wanted) / aside);
+  return encode(world, [angle, Math.round(pace)]);
+}
+
 /** What `reactive` does in each world: of its constants, an observation, and the `rules` of that world. */
 const REACTIONS = { drone: reactive, slalom: reactive, moving: dodge, goal: towardsGoal };
 const REACTIVE = "reactive";
@@ -72,6 +136,8 @@ const REACTIVE = "reactive";
 /** Every scripted policy: of a world's name, its task, an observation and uniform random numbers, an action. */
 const SCRIPTED = {
   [REACTIVE]: (name, { world, rules }, observation) => REACTIONS[name](world, observation, rules),
+  apf: (name, { world, rules }, observation) => apf(world, observation, rules),
+  vfh: (name, { world, rules }, observation) => vfh(world, observation, rules),
   straight: (name, { world }) => encode(world, [0, world.n_distances - 1]),
   random: (name, { world }, observation, draw) => Math.floor(world.n_turns * world.n_distances * draw()),
 };

@@ -324,3 +324,18 @@ def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and
     found = read_sections(Path("docs/benchmarks.md"))
     assert list(found) == ["", words[-1] if words else "world"]
     assert "cut short" in found[words[-1] if words else "world"]
+
+
+def test_the_products_of_an_iteration_are_counted_as_by_hand():
+    """Two seeds in one environment: 64 steps of a 30-8-100 policy; then an epoch of its losses and values."""
+    config = training.settings(
+        "ppo", "paper", n_seeds=2, frames_per_batch=64, minibatch_size=32, epochs=1, hidden=(8,)
+    )
+    policy, value = 2 * (30 * 8 + 8 * 100), 2 * (30 * 8 + 8 * 1)
+    first = 2 * 30 * 8  # no gradient of an observation is asked for
+    probed = 2 * 512 * (30 * 8 + 8 * 8)  # hidden units at the probe's poses, and their Gram matrix
+    found = training.products(config)
+    assert found["collection"] == 2 * 64 * policy
+    around = 2 * 64 * (2 * policy + 2 * value)  # log-probabilities and values before, diagnostics after
+    learned = 2 * 64 * (3 * (policy + value) - 2 * first)
+    assert found["updates"] == around + learned + 2 * probed

@@ -35,6 +35,7 @@ HEADS = {
     **{str(batch): f"{batch:,}" for batch in BATCHES},
     "startup": "start-up [s]",
     "rate": "frames/s",
+    "gflops": "GFLOP/s a core",
     "whole": "1 M frames",
     "times": "times",
     "peak": "peak [GB]",

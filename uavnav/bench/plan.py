@@ -59,6 +59,11 @@ def training(algorithm: str) -> Iterator[Measurement]:
     mine = Measurement("", "training.ours", run, CORES, base=base, warm={"seconds": 0.0}, quick=quick)
     yield replace(mine, name=f"{name}, uavnav, 1 seed")
     yield replace(mine, name=f"{name}, uavnav, 10 seeds", arguments=run | {"n_seeds": 10})
+    one = run | {"preset": "paper"}
+    yield replace(mine, name=f"{name}, uavnav, 1 seed in one environment", arguments=one)
+    for which in ("collection", "updates"):
+        apart = Measurement(f"{name}, its {which}", "training.part", one | {"which": which}, quick=quick)
+        yield replace(apart, warm={"seconds": 0.0})
     run |= {"seconds": 30.0}
     peer = Measurement(base, "training.peer", run, base=base, rounds=2, needs=SB3)
     if algorithm in IN_SB3:

@@ -11,10 +11,14 @@ import time
 from contextlib import suppress
 from typing import Any
 
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils.flop_counter import flop_registry
+
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import Result
 from uavnav.bench.worlds import make_env
-from uavnav.training.loop import train
+from uavnav.training.loop import make_collector, train
+from uavnav.training.loop import make_env as make_training_env
 
 SB3, SBX = "stable_baselines3", "sbx"
 WHOLE = 1_000_000
@@ -56,9 +60,9 @@ class Clock:
         return {"startup": startup, "rate": rate, "whole": whole, "frames": frames}
 
 
-def settings(algorithm: str, **changed: Any) -> Any:
-    """An algorithm's configuration: the preset `vectorised`, and what differs from it."""
-    return ALGORITHMS[algorithm].config(preset="vectorised", **changed)
+def settings(algorithm: str, preset: str = "vectorised", **changed: Any) -> Any:
+    """An algorithm's configuration: a preset, and what differs from it."""
+    return ALGORITHMS[algorithm].config(preset=preset, **changed)
 
 
 class _Enough(Exception):
@@ -85,6 +89,59 @@ def whole(launched: float, algorithm: str, **changed: Any) -> Result:
     with tempfile.TemporaryDirectory() as scratch:
         run = train(settings(algorithm, **changed), f"{scratch}/run", quiet=True, checkpoint_seconds=5.0)
         return {"frames": run.frames}
+
+
+def part(launched: float, algorithm: str, seconds: float, which: str, **changed: Any) -> Result:
+    """The `collection` or the `updates` of a run apart, in one thread, watched for a while once it learns.
+
+    Frames a second of all seeds, and the arithmetic of the networks' products in that time.
+    """
+    config = settings(algorithm, compile="on", **changed)
+    work = products(config)[which]
+    env, trainee = make_training_env(config, True), config.make(True)
+    batches = iter(make_collector(env, trainee.actor, config))
+    learns_from = getattr(config, "frames_before_learning", 0) + WARM * config.frames_per_iteration
+    frames, iterations, spent = 0, 0, 0.0
+    while spent < seconds:
+        began = time.perf_counter()
+        batch = next(batches)
+        collected = time.perf_counter()
+        frames += config.frames_per_iteration
+        trainee.learn(batch, frames)
+        if frames > learns_from:
+            ended = time.perf_counter()
+            spent += collected - began if which == "collection" else ended - collected
+            iterations += 1
+    rate = iterations * config.frames_per_iteration * config.n_seeds / spent
+    return {"rate": rate, "gflops": iterations * work / spent / 1e9}
+
+
+def products(config: Any) -> dict[str, float]:
+    """Floating-point operations of the networks' products in an iteration of all seeds, as PyTorch counts
+    them.
+    """
+    trainee, found = config.make(False), {}
+    batches = iter(make_collector(make_training_env(config, False), trainee.actor, config))
+    with Counted() as counted:
+        batch = next(batches)
+        found["collection"] = counted.total
+        trainee.learn(batch, getattr(config, "frames_before_learning", 0) + config.frames_per_iteration)
+        found["updates"] = counted.total - found["collection"]
+    return found
+
+
+class Counted(TorchDispatchMode):
+    """Adds up the operations of all products; PyTorch's own `FlopCounterMode` refuses `autograd.grad`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.total = 0.0
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        found = function(*args, **(kwargs or {}))
+        if count := flop_registry.get(function.overloadpacket):
+            self.total += count(*args, **(kwargs or {}), out_val=found)
+        return found
 
 
 def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:

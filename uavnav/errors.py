@@ -178,3 +178,16 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, f"{value}: {choose_from(value, list(action.choices))}")
+
+
+def telling_line(error: BaseException) -> str:
+    """The most telling line of an error's message: the compiler's own error, else the first line that names a
+    cause.
+
+    >>> telling_line(Exception("backend='inductor' raised:\\nCppCompileError: C++ compile error"))
+    'CppCompileError: C++ compile error'
+    """
+    lines = [
+        line.strip() for line in str(error).splitlines() if line.strip() and not line.endswith("raised:")
+    ]
+    return next((line for line in lines if "error: " in line), lines[0] if lines else type(error).__name__)

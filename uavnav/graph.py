@@ -16,7 +16,7 @@ import torch
 import torch._inductor.config
 from torch import Tensor, fx
 
-from uavnav.errors import ConfigError
+from uavnav.errors import ConfigError, telling_line
 
 try:
     from torch._functorch.compile_utils import fx_graph_cse
@@ -106,18 +106,26 @@ class Scan(Graph):
         return tensors[: self.n_state], tensors[self.n_state : last], tensors[last:]
 
     def _compile(self, tensors: Tensors) -> Function:
-        with torch._inductor.config.patch(SETTINGS):
-            try:
+        try:
+            with torch._inductor.config.patch(SETTINGS):
                 return self._traced(tensors)
-            except Exception as error:  # a caller's activation or reward may raise any kind
-                graph = self._one_by_one(tensors)
-                warnings.warn(f"steps run one by one, slower ({telling_line(error)})", stacklevel=2)
-                return graph
+        except Exception as error:  # a caller's activation or reward may raise any kind
+            graph = self._one_by_one(tensors)
+            warnings.warn(f"steps run one by one, slower ({telling_line(error)})", stacklevel=2)
+            return graph
 
     def _traced(self, tensors: Tensors) -> Function:
         state, inputs, constants = self._split(tensors)
         first = *state, *(each[0] for each in inputs), *constants
-        step, frozen = _lifted(make_fx(_apart(self.function))(*first))
+
+        def apart(*tensors: Tensor) -> Tensors:  # a scan has no two names for one tensor
+            known, found = {id(tensor) for tensor in tensors}, []
+            for tensor in self.function(*tensors):
+                found.append(tensor.clone() if id(tensor) in known else tensor)
+                known.add(id(tensor))
+            return found
+
+        step, frozen = _lifted(make_fx(apart)(*first))
 
         def steps(*tensors: Tensor) -> Tensors:
             state, inputs, constants = self._split(tensors)
@@ -130,8 +138,6 @@ class Scan(Graph):
     def _one_by_one(self, tensors: Tensors) -> Function:
         """One call a step; raises a ConfigError where a step cannot be traced either."""
         step = Graph(self.function)
-        state, inputs, constants = self._split(tensors)
-        step(*(tensor.clone() for tensor in state), *(each[0] for each in inputs), *constants)
 
         def steps(*tensors: Tensor) -> Tensors:
             state, inputs, constants = self._split(tensors)
@@ -142,6 +148,7 @@ class Scan(Graph):
                 outputs.append(found[self.n_state :])
             return *state, *(torch.stack(each, self.time) for each in zip(*outputs, strict=True))
 
+        steps(*tensors)
         return steps
 
 
@@ -227,30 +234,14 @@ def _each_once(traced: fx.GraphModule) -> fx.GraphModule:
     One that writes in place stays as it is: what is called twice could then be two places to write.
     """
     calls = traced.graph.nodes
-    if any(
-        isinstance(call.target, torch._ops.OpOverload) and call.target._schema.is_mutable for call in calls
-    ):
+    operators = [call.target for call in calls if isinstance(call.target, torch._ops.OpOverload)]
+    if any(operator._schema.is_mutable for operator in operators):
         return traced
     for call in traced.graph.find_nodes(op="call_function", target=torch.ops.aten.detach.default):
         # autograd is done: a weight and the same one detached are one
         call.replace_all_uses_with(call.args[0])
         traced.graph.erase_node(call)
     return fx.GraphModule(traced, fx_graph_cse(traced.graph))
-
-
-def _apart(step: Function) -> Function:
-    """The same step, with a copy of each output that is an input or an earlier output: a scan has no two
-    names for one tensor.
-    """
-
-    def apart(*tensors: Tensor) -> Tensors:
-        known, found = {id(tensor) for tensor in tensors}, []
-        for tensor in step(*tensors):
-            found.append(tensor.clone() if id(tensor) in known else tensor)
-            known.add(id(tensor))
-        return tuple(found)
-
-    return apart
 
 
 def _lifted(traced: fx.GraphModule) -> tuple[fx.GraphModule, Tensors]:
@@ -285,9 +276,7 @@ def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> 
 
 
 def _left_to_torch(function: Function) -> Function:
-    """Compile by `torch.compile`, which checks the function at every call and runs in Python what it
-    cannot trace.
-    """
+    """By `torch.compile`, which checks the function at every call and runs in Python what it cannot trace."""
     compiled = torch.compile(function, dynamic=False)
 
     def run(*tensors: Tensor) -> Tensors:
@@ -309,16 +298,3 @@ def problem(device: str) -> str | None:
     finally:
         logger.setLevel(level)
     return None
-
-
-def telling_line(error: BaseException) -> str:
-    """The most telling line of an error's message: the compiler's own error, else the first line that names a
-    cause.
-
-    >>> telling_line(Exception("backend='inductor' raised:\\nCppCompileError: C++ compile error"))
-    'CppCompileError: C++ compile error'
-    """
-    lines = [
-        line.strip() for line in str(error).splitlines() if line.strip() and not line.endswith("raised:")
-    ]
-    return next((line for line in lines if "error: " in line), lines[0] if lines else type(error).__name__)

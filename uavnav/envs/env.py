@@ -6,6 +6,7 @@ import math
 import numbers
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,15 @@ def _device(device: Any) -> torch.device:
         return torch.device(device)
     except (RuntimeError, TypeError, ValueError) as error:
         raise ConfigError(f"device={told(device)}; choose cpu, or a device that this machine has") from error
+
+
+@dataclass
+class Now:
+    """What changes with every step; an attribute of TorchRL's environments takes long to set."""
+
+    state: State
+    observation: Tensor
+    begins_here: bool  # the next reset of all rows leaves them where they are
 
 
 class DroneEnv(EnvBase):  # type: ignore[misc]
@@ -132,6 +142,11 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._make_specs()
         self._seed(seeds)
 
+    @property
+    def state(self) -> State:
+        """Of every row, now."""
+        return self._now.state
+
     def _make_specs(self) -> None:
         shape, world = self.batch_size, self.world
         low = torch.tensor(world.observation_low, device=self.device).repeat(self.task.stack)
@@ -171,9 +186,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         layout = places(self.seeds, rows, len(self.layouts), self.device)
         self._chance = Chance(self.task, self.seeds, rows, self.device)
         self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
-        self._begins_here = True  # the next reset of all rows leaves them where they are
-        self.state = self._start(layout.reshape(self.batch_size))
-        self._observation, _ = self.task.observe(self.state)
+        state = self._start(layout.reshape(self.batch_size))
+        self._now = Now(state, self.task.observe(state)[0], begins_here=True)
 
     def _set_seed(self, seed: int | None) -> None:
         """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are
@@ -211,18 +225,18 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         """All that the future depends on: each row's state and observation, and the streams of headings
         and faults.
         """
-        state = {name: value.clone() for name, value in self.state._asdict().items()}
-        return {"state": state, "observation": self._observation.clone(), **self._chance.state_dict()}
+        state = {name: value.clone() for name, value in self._now.state._asdict().items()}
+        return {"state": state, "observation": self._now.observation.clone(), **self._chance.state_dict()}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Go on from where `state_dict` was taken, in an environment built alike; the next reset leaves
         it there.
         """
         fields = {name: value.to(self.device).clone() for name, value in state_dict["state"].items()}
-        self.state = self.task.state_class(**fields)
-        self._observation = state_dict["observation"].to(self.device).clone()
+        self._now.state = self.task.state_class(**fields)
+        self._now.observation = state_dict["observation"].to(self.device).clone()
         self._chance.load_state_dict(state_dict)
-        self._begins_here = True
+        self._now.begins_here = True
 
     # -- TorchRL's protocol ----------------------------------------------------------------------------------
 
@@ -230,11 +244,11 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         chosen = None if tensordict is None else tensordict.get("_reset", None)
         if chosen is not None:
             chosen = chosen.reshape(self.batch_size)
-        if chosen is not None or not self._begins_here:
-            fresh = self._start((self.state.layout + 1) % len(self.layouts))
-            self.state = fresh if chosen is None else where(chosen, fresh, self.state)
-            self._observation, _ = self.task.observe(self.state)
-        self._begins_here = False
+        if chosen is not None or not self._now.begins_here:
+            fresh = self._start((self._now.state.layout + 1) % len(self.layouts))
+            self._now.state = fresh if chosen is None else where(chosen, fresh, self._now.state)
+            self._now.observation, _ = self.task.observe(self._now.state)
+        self._now.begins_here = False
         return self.root()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -243,9 +257,9 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             raise ValueError(
                 f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}"
             )
-        self.state, outcome = self.task.step(self.state, action, self._rows(self._chance.step()))
-        self._observation, self._begins_here = outcome.observation, False
-        return self._tensordict(_leaves(outcome), self.state)
+        self._now.state, outcome = self.task.step(self._now.state, action, self._rows(self._chance.step()))
+        self._now.observation, self._now.begins_here = outcome.observation, False
+        return self._tensordict(_leaves(outcome), self._now.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
@@ -254,12 +268,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         """
         later, (headings, first) = self._rows(self._chance.step()), self._draw_starts()
         given = (tensordict.get("action"), headings, self.layouts, *self._first)
-        found = self._advance(*self.state, *given, *(one for one in (later, first) if one is not None))
+        found = self._advance(*self._now.state, *given, *(one for one in (later, first) if one is not None))
         bare = self.task.STATE
         after = N_LEAVES + len(bare._fields)
         leaves, final, following = found[:N_LEAVES], bare(*found[N_LEAVES:after]), found[after:]
-        self._observation, self.state = following[0], self.task.state_class(*following[1:])
-        self._begins_here = False
+        self._now.observation, self._now.state = following[0], self.task.state_class(*following[1:])
+        self._now.begins_here = False
         tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), final))
         return tensordict, self.root()
 
@@ -294,17 +308,14 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         actor: of this environment's agents, whose batch is [agents, environments].
         """
         agents, environments = self.batch_size
-        headings, *draws = [one for one in self._chance.steps(n) if one is not None]
-        draws = [
-            headings.reshape(n, agents, -1),
-            *(one.reshape(n, agents, environments, -1) for one in draws),
-        ]
-        inputs = [*actor.draw(n, environments), *draws]
+        headings, *draws = (one for one in self._chance.steps(n) if one is not None)
+        draws = [one.reshape(n, agents, environments, -1) for one in draws]
+        inputs = [*actor.draw(n, environments), headings.reshape(n, agents, environments), *draws]
+        now, kind, constants = self._now, self.task.state_class, [self.layouts, *self._first, *actor.weights]
         scan = self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, len(inputs)))
-        found = scan(*self.state, self._observation, *inputs, self.layouts, *self._first, *actor.weights)
-        kind = self.task.state_class
-        self.state, self._observation = kind(*found[: len(kind._fields)]), found[len(kind._fields)]
-        self._begins_here = False
+        found = scan(*now.state, now.observation, *inputs, *constants)
+        now.state, now.observation = kind(*found[: len(kind._fields)]), found[len(kind._fields)]
+        now.begins_here = False
         action, observation, *rows = found[len(kind._fields) + 1 :]
         never = self._never[..., None, :].expand(agents, environments, n, 1)
         flags = dict.fromkeys(("done", "terminated", "truncated"), never)
@@ -360,7 +371,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     def root(self) -> TensorDict:
         """What the next step starts from: the observation, flags and counts of now."""
         flags = dict.fromkeys(("done", "terminated", "truncated"), self._never)
-        return self._tensordict({"observation": self._observation, **flags}, self.state)
+        return self._tensordict({"observation": self._now.observation, **flags}, self._now.state)
 
     def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
         return self._batch(leaves, [getattr(state, name) for name in ("layout", *COUNTS)])

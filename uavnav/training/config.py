@@ -14,8 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import torch
 from pydantic import AfterValidator, BeforeValidator, SerializeAsAny, model_validator
 
-from uavnav.errors import ConfigError, among, told, unknown
-from uavnav.graph import telling_line
+from uavnav.errors import ConfigError, among, telling_line, told, unknown
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder
 from uavnav.settings import (

@@ -24,8 +24,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from uavnav.errors import ConfigError, unknown
-from uavnav.graph import telling_line
+from uavnav.errors import ConfigError, telling_line, unknown
 from uavnav.runs import LOG_FOLDERS, Run
 from uavnav.runs.tables import Columns, RunError, lock, with_reward
 

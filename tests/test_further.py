@@ -170,12 +170,25 @@ def test_a_draw_fits_where_no_configuration_is_rejected():
     one_apart = near(rng, 12) | {("ppo", "relu"): near(rng, 12, 9.0)["ppo", "relu"]}
     rejected = ambiguities.judged(one_apart).assign(draw=8)
     few = ambiguities.judged(near(rng, 4)).assign(draw=9)  # four seeds cannot tell
-    assert ambiguities.fitting(pd.concat([fits, rejected, few])) == [7]
+    standing = ambiguities.standing(pd.concat([fits, rejected, few, fits[:4].assign(draw=10)]))
+    assert standing.to_dict() == {7: "fits", 8: "rejected", 9: "open", 10: "open"}
     assert rejected.query("verdict == 'rejected'")["part"].tolist() == ["PPO relu"]
     assert fits.set_index("part").loc[ambiguities.PPO_ORDER, "verdict"] == "as printed"
     turned = near(rng, 12) | {("ppo", "tanh"): near(rng, 12)["ppo", "sigmoid"]}
     of_order = ambiguities.judged(turned).set_index("part").loc[ambiguities.PPO_ORDER]
     assert (of_order["value"], of_order["verdict"]) == (0.0, "not as printed")
+
+
+def test_the_report_has_the_finished_draws_by_what_they_differ_in_and_names_the_other_runs(tmp_path):
+    episodes = [rows(seed, *[(9, 20 + seed, 1, 1, 9, 90, 1.0)] * 4) for seed in (0, 1)]
+    home = tmp_path / "ambiguities"
+    for number, init in (("00", "default"), ("01", "orthogonal"), ("02", "default")):
+        meta = {"status": "running"} if number == "02" else {}
+        write_run(home / "screen" / number / "dqn" / "tanh", *episodes, init=init, hidden=[64, 64], meta=meta)
+    tables, (line,) = ambiguities.gather([tmp_path])
+    assert {*tables} == {"draws"}
+    assert {*tables["draws"].columns} == {"draw", "init", "DQN tanh", "distance"}
+    assert "screen/02/dqn/tanh: the run is not finished" in line
 
 
 def test_the_surge_of_dqn_with_sigmoid_is_as_printed_where_more_than_half_of_the_rise_is_lost(tmp_path):

@@ -164,7 +164,7 @@ def main(arguments: Namespace) -> int:
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
     if own.trials is not None and study.tune is None and study.draw is None:
-        raise ConfigError(f"trials={own.trials}: study {study.name} searches nothing; leave it out")
+        raise ConfigError(f"trials={own.trials}: study {study.name} neither tunes nor draws; leave it out")
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     given = own.seeds, own.frames

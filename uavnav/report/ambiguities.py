@@ -14,12 +14,11 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report.claims import SURGE
-from uavnav.report.configurations import apart, order, settings_of
+from uavnav.report.configurations import apart, order, settings_of, show
 from uavnav.report.frames import name
 from uavnav.report.studies import AFTER
 from uavnav.runs import Run, draws, paper
 from uavnav.runs.definitions import last_hundred
-from uavnav.runs.tables import RunError
 from uavnav.stats import Array
 
 Table = pd.DataFrame
@@ -39,29 +38,28 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
     draws: all draws, the nearest first, with their settings; ambiguities: the nearest, a row a part.
     """
     for home in apart(folders, STUDY):
-        try:
-            screened = draws.runs_of(home / draws.SCREEN)
-            if not screened:
-                continue
-            near = draws.distances(draws.by_draw(screened))
-            further = draws.runs_of(home / draws.NEAREST)
-        except RunError as error:
-            return {}, [str(error)]
+        screened, left_out = draws.runs_of(home / draws.SCREEN)
+        further, unread = draws.runs_of(home / draws.NEAREST)
+        if not screened:
+            continue
+        near, seeds = draws.distances(draws.by_draw(screened)), draws.by_draw(further)
         settings = pd.DataFrame({number: _settings(own[0]) for number, own in screened.items()}).T
         varied = [key for key in settings if settings[key].nunique() > 1 and key not in FOLLOW]
         tables = {DRAWS: settings.loc[near.index, varied].join(near).rename_axis("draw").reset_index()}
-        seeds = draws.by_draw(further)
-        parts = [
-            pd.concat([judged(seeds[number]), surges(further[number])]).assign(draw=number)
+        rows = [
+            {"draw": number} | row
             for number in near.index
             if number in further
+            for table in (judged(seeds[number]), surges(further[number]))
+            for row in table.to_dict("records")
         ]
-        return tables | ({STUDY: pd.concat(parts, ignore_index=True)} if parts else {}), []
+        tables |= {STUDY: pd.DataFrame(rows)} if rows else {}
+        return tables, [*left_out, *unread]
     return {}, []
 
 
-def _settings(run: Run) -> dict[str, object]:
-    return settings_of(run.config, run.meta, run.frames)
+def _settings(run: Run) -> dict[str, str]:
+    return {key: show(value) for key, value in settings_of(run.config, run.meta, run.frames).items()}
 
 
 def judged(seeds: draws.Seeds) -> Table:
@@ -86,11 +84,14 @@ def judged(seeds: draws.Seeds) -> Table:
 
 def _order(rewards: dict[str, Array]) -> list[object]:
     """How often one seed of each activation would stand in the paper's order, and whether their means do."""
-    in_order = sorted(rewards, key=lambda one: -paper.printed("ppo", one, "reward"))
+    n = min(len(rewards.get(one, ())) for one in paper.ACTIVATIONS)
+    if not n:
+        return [PPO_ORDER, np.nan, np.nan, np.nan, n, np.nan, OPEN]
+    in_order = sorted(paper.ACTIVATIONS, key=lambda one: -paper.printed("ppo", one, "reward"))
     means = [rewards[one].mean() for one in in_order]
-    chance = stats.chance_of_order([rewards[one] for one in in_order]) if len(rewards) > 1 else np.nan
+    chance = stats.chance_of_order([rewards[one] for one in in_order])
     verdict = AS_PRINTED if means == sorted(means, reverse=True) else NOT
-    return [PPO_ORDER, chance, np.nan, np.nan, min(map(len, rewards.values()), default=0), np.nan, verdict]
+    return [PPO_ORDER, chance, np.nan, np.nan, n, np.nan, verdict]
 
 
 def surges(runs: Sequence[Run]) -> Table:
@@ -107,8 +108,13 @@ def surges(runs: Sequence[Run]) -> Table:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def fitting(found: Table) -> list[int]:
-    """The draws of which the paper's numbers reject no configuration, and all of them can tell."""
+def standing(found: Table) -> pd.Series[str]:
+    """Whether each draw `fits`: the paper's numbers reject none of its configurations, and all of them could
+    tell; or is `rejected`, or `open`.
+    """
     of_tables = found[~found["part"].isin([PPO_ORDER, SURGES])]
-    by_draw = of_tables.groupby("draw", sort=False)["verdict"].agg(lambda one: (one == "fits").all())
-    return [int(number) for number in by_draw.index[by_draw]]
+    verdicts = of_tables.groupby("draw", sort=False)["verdict"].agg(list)
+    whole = len(paper.TABLES)
+    return verdicts.map(
+        lambda own: "rejected" if "rejected" in own else "fits" if own.count("fits") == whole else OPEN
+    )

@@ -10,14 +10,16 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import Run, paper, run_folders
+from uavnav.runs import Run, paper
 from uavnav.runs.definitions import log_curve
+from uavnav.runs.tables import RunError
 from uavnav.stats import Array
 
 SCREEN, NEAREST = "screen", "nearest"
 """Folders of a study: its draws, a number each, and those that are trained further."""
 DISTANCE = "distance"
 """Column of `distances`: joint, of all configurations of a draw."""
+NOTHING = np.empty((0, len(paper.COLUMNS)))
 Seeds = Mapping[tuple[str, str], Array]
 """By algorithm and activation: the paper's metrics as Stable-Baselines3 logs them, [S, 6]."""
 
@@ -32,15 +34,20 @@ def logged(run: Run) -> Array:
     return table[list(paper.COLUMNS)].dropna().to_numpy()
 
 
-def runs_of(folder: Path) -> dict[int, list[Run]]:
-    """The runs of each draw, by its number, which is the name of its folder in a folder; none where there is
-    no such folder.
-
-    Raises:
-        RunError: a run is damaged, or not finished.
+def runs_of(folder: Path) -> tuple[dict[int, list[Run]], list[str]]:
+    """The finished runs of each draw, by its number, which is the name of its folder in a folder; and a line
+    for each other run.
     """
-    places = sorted(path for path in folder.glob("*") if path.name.isdecimal())
-    return {int(path.name): [Run(one) for one in run_folders(path)[0]] for path in places}
+    found: dict[int, list[Run]] = {}
+    left_out = []
+    for path in sorted(folder.glob("*/*/*/config.yaml")):
+        if (number := path.parents[2].name).isdecimal():
+            try:
+                run = Run(path.parent)
+                found.setdefault(int(number), []).append(run)
+            except RunError as error:
+                left_out.append(str(error))
+    return found, left_out
 
 
 def by_draw(runs: Mapping[int, Iterable[Run]]) -> dict[int, Seeds]:
@@ -60,7 +67,7 @@ def distances(draws: Mapping[int, Seeds]) -> pd.DataFrame:
     """
     columns = {}
     for algorithm, activation in dict.fromkeys(key for own in draws.values() for key in own):
-        seeds = [own[algorithm, activation] for own in draws.values()]
+        seeds = [own.get((algorithm, activation), NOTHING) for own in draws.values()]
         printed = np.array([*paper.TABLES[algorithm, activation].values()])
         columns[f"{algorithm.upper()} {activation}"] = stats.mahalanobis(seeds, printed)
     table = pd.DataFrame(columns, pd.Index([*draws], name="draw"))

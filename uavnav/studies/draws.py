@@ -23,6 +23,7 @@ from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, unknown, unknown_key
 from uavnav.runs import draws
+from uavnav.runs.tables import RunError
 from uavnav.studies import Configuration, Study
 from uavnav.studies.run import trained
 
@@ -67,7 +68,10 @@ class Plan(NamedTuple):
         if not all(trained(one) for one in self.screened()):
             return []
         folder = self.out / self.study.name / draws.SCREEN
-        found = draws.distances(draws.by_draw(draws.runs_of(folder)))
+        runs, damaged = draws.runs_of(folder)
+        if damaged:
+            raise RunError(damaged[0])
+        found = draws.distances(draws.by_draw(runs))
         drawn = self.drawn()
         numbers = [number for number in found.index if number < len(drawn)]
         return [

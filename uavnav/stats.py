@@ -62,9 +62,7 @@ def interval(
 def intervals(
     rows: Sequence[Sequence[float] | Array], statistics: Sequence[Callable[..., Any]], seed: int = 0
 ) -> list[list[Interval]]:
-    """`interval` of each statistic of each row; rows of as many seeds share their draws, as if each were
-    alone.
-    """
+    """`interval` of each statistic of each row; rows of as many seeds share their draws."""
     known = [np.asarray(row, dtype=np.float64) for row in rows]
     known = [row[~np.isnan(row)] for row in known]
     found: list[list[Interval]] = [[] for _ in rows]
@@ -80,9 +78,7 @@ def intervals(
 
 
 def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1) -> Array:
-    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by how its terms lie in
-    memory.
-    """
+    """All statistics of a table's rows [..., S]: [statistics, ...], the same bits for any layout."""
     table = np.ascontiguousarray(np.moveaxis(table, axis, -1))
     return np.stack([statistic(table, axis=-1) for statistic in statistics])
 
@@ -90,9 +86,7 @@ def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1
 def _ends(
     table: Array, statistics: Sequence[Callable[..., Any]], value: Array, seed: int
 ) -> tuple[Array, Array]:
-    """Both ends of the intervals of a table [R, S]: [statistics, R] each; where all seeds are equal, the
-    value.
-    """
+    """Both ends of the intervals of a table [R, S]: [statistics, R] each."""
     low, high = value.copy(), value.copy()
     varies = np.ptp(table, axis=-1) > 0
     if varies.any():
@@ -137,18 +131,14 @@ class Contrasts(NamedTuple):
         return np.asarray(self.value - special.stdtrit(self.df, 1 - np.asarray(level)) * self.error)
 
     def above(self) -> Array:
-        """One-sided p values of the contrasts being above zero; below zero they are 1 - p. NaN without an
-        error.
-        """
+        """One-sided p values of the contrasts being above zero; NaN without an error."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(
                 special.stdtr(self.df, -self.value / np.where(self.error > 0, self.error, np.nan))
             )
 
     def power(self, effect: Array, level: float | Array) -> Array:
-        """How probably a one-sided test at this level finds effects [J], from the noncentral t
-        distribution.
-        """
+        """How probably a one-sided test at this level finds effects [J]: by the noncentral t."""
         shift = np.minimum(effect / np.where(self.error > 0, self.error, np.nan), _FAR)
         found = 1 - special.nctdtr(self.df, shift, special.stdtrit(self.df, 1 - np.asarray(level)))
         return np.asarray(np.where(shift == _FAR, 1.0, found))
@@ -441,9 +431,7 @@ def _above_and_below(pairs: Sequence[tuple[Array, Array]], rng: np.random.Genera
 
 
 def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.Generator) -> float:
-    """P value of a crossover: two configurations of one order in the first list and the other order in
-    the second; [S] each.
-    """
+    """P value of a crossover: two configurations change places between the lists; [S] each."""
     pairs = [*itertools.combinations(range(len(first)), 2)]
     here, there = (
         _above_and_below([(configurations[a], configurations[b]) for a, b in pairs], rng)

@@ -110,9 +110,7 @@ def _as_option(error: Exception) -> str:
 
 
 def parse(name: str, words: Sequence[str]) -> argparse.Namespace:
-    """The arguments of a command; where they are wrong, or ask for help, the process ends with one line
-    or the help.
-    """
+    """The arguments of a command; wrong ones, and those that ask for help, end the process."""
     warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {one_line(message)}\n"
     parser = Parser(
         prog=f"uavnav {name}",
@@ -188,18 +186,14 @@ def _settings(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def names_in(settings: Sequence[str], key: str) -> list[str]:
-    """The names in `key=name` or `key=[one,other]` among the settings of a command line, which may begin
-    with a +.
-    """
+    """The names in `key=name` or `key=[one,other]` among settings, which may begin with a +."""
     values = [word.partition("=")[2] for word in settings if word.lstrip("+").startswith(f"{key}=")]
     names = [name.strip() for value in values for name in value.strip("[]").split(",")]
     return [name for name in names if name and name != "null"]
 
 
 def needs(algorithm: str, settings: Sequence[str]) -> str:
-    """The end of a message: which plugins the run of a command line was begun with and lacks now; often
-    empty.
-    """
+    """The end of a message: plugins that the run of a command line had and lacks now; often empty."""
     from uavnav.runs import default_folder, read_settings
     from uavnav.runs.tables import RunError
 
@@ -537,8 +531,6 @@ KINDS: dict[str, tuple[str, dict[str, Callable[[Parser], None]]]] = {
     ),
     "Share": ("uavnav export runs/first --out policy.pt2", {"export": _export, "layouts": _layouts}),
 }
-"""Commands by what one does with them, with an example: the function that adds its arguments says what
-each does.
-"""
+"""Commands by what one does with them, each with the function that adds its arguments; and an example."""
 COMMANDS = {name: add for _, own in KINDS.values() for name, add in own.items()}
 """By name. The module of each is `uavnav.cli.<name>`."""

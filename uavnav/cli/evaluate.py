@@ -90,9 +90,7 @@ def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
 
 
 def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool) -> dict[str, object]:
-    """Evaluate what is named on the layouts of one split, keep its rows and show them; returns them for
-    JSON.
-    """
+    """Evaluate on the layouts of one split, keep the rows and show them; returns them for JSON."""
     protocol = _protocol(found, arguments)
     if isinstance(found, Run):
         rows = evaluate_run(

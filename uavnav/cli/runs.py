@@ -141,9 +141,7 @@ def thousands(frames: int) -> str:
 
 
 def order(column: str) -> Callable[[Mapping[str, Any]], tuple[bool, Any]]:
-    """What to sort by: frames and rewards from the largest, all else from the first; what is not known
-    comes last.
-    """
+    """The key to sort by: frames and rewards fall, all else rises; what is not known comes last."""
 
     def key(one: Mapping[str, Any]) -> tuple[bool, Any]:
         value = one[column]

@@ -1,6 +1,4 @@
-"""The command `uavnav study`: train, evaluate and report many configurations, on this machine or on a
-cluster.
-"""
+"""The command `uavnav study`: train, evaluate and report many configurations."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""From a command line to training runs: what `key=value` words set, and a run for each of their
-combinations.
-"""
+"""From a command line to training runs: one for each combination of what `key=value` words set."""
 
 from __future__ import annotations
 
@@ -121,9 +119,7 @@ def main(given: Namespace, fit: Fit = alone) -> int:
 
 
 def _world(settings: Sequence[str]) -> type[World]:
-    """The world of the task that a command line names; the paper's for several tasks, or one that there
-    is not.
-    """
+    """The world of the task that a command line names; the paper's where it names none or several."""
     tasks = commands.names_in(settings, "task")
     return TASKS[tasks[0] if len(tasks) == 1 and tasks[0] in TASKS else TASK].WORLD
 
@@ -178,9 +174,7 @@ def _parts(text: str) -> list[str]:
 
 
 def _value(word: str, text: str) -> Any:
-    """A number, true, false, null, a list or a mapping as in YAML; anything else is text, in quotes or
-    without.
-    """
+    """A number, true, false, null, a list or a mapping as in YAML; anything else is text."""
     if text[:1] in ("'", '"') and text[1:].endswith(text[0]):
         return text[1:-1]
     if text[:1] in ("[", "{", "'", '"'):

@@ -146,9 +146,7 @@ def on(
 
 
 def check_bounds(episodes: int, max_steps: int, most: int) -> None:
-    """Raise a ValueError for more episodes than a split has layouts, which is `most`, or for a count below
-    1.
-    """
+    """Raise a ValueError for more episodes than `most`, a split's layouts, or for a count below 1."""
     if not 1 <= episodes <= most or not 1 <= max_steps <= MOST_STEPS:
         bounds = f"1 to {most} episodes of at least 1 step and at most {MOST_STEPS:,}"
         raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give {bounds}")
@@ -317,9 +315,7 @@ def evaluate_run(
 
 
 def together(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Tables of some seeds each as one of all: by mode, seed and layout, the steps of an episode as they
-    are.
-    """
+    """Tables of some seeds each as one, by mode, seed and layout; the steps of an episode stay in order."""
     by = [name for name in ("mode", "seed", "layout") if name in parts[0]]
     return pd.concat(parts).sort_values(by, kind="stable", ignore_index=True)
 

@@ -150,9 +150,7 @@ def _takes_generator(policy: Callable[..., Any]) -> bool:
 
 
 def _kind_of_network(policy: AnyPolicy) -> tuple[object, ...] | None:
-    """What policies have in common that can be one network; nothing of another kind is equal. None of a
-    script.
-    """
+    """What policies of one network have in common; None of a script."""
     return (made_of(policy.network) or object(), policy.head) if isinstance(policy, Policy) else None
 
 

@@ -125,9 +125,7 @@ def steps(
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
-    """Which policies were trained in the same task but for layouts and time limit, and so can share a
-    batch.
-    """
+    """Which policies can share a batch: their tasks differ in layouts and time limit alone."""
     tasks = [policy.task for policy in policies]
     keys = [(type(task.task), task.world, task.reward, task.stack, task.faults) for task in tasks]
     return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]

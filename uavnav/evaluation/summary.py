@@ -1,6 +1,4 @@
-"""The six metrics of a finished run or of an evaluation beside the paper's: a table for people, a record
-for JSON.
-"""
+"""The six metrics of a run or of an evaluation beside the paper's: a table, and a record for JSON."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def of_run(run: Run) -> Table:
-    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's
-    row.
-    """
+    """The six metrics of a finished run beside the paper's row."""
     config = run.config
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
@@ -81,9 +77,7 @@ def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _numbers(definitions: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    """Mean and standard deviation over seeds of each metric in each metric definition; null where there
-    is none.
-    """
+    """Mean and standard deviation over seeds of each metric in each definition; null where there is none."""
     found: dict[str, Any] = {}
     for definition, seeds in definitions.items():
         known = {name: seeds[name].dropna().tolist() for name in METRICS}
@@ -100,9 +94,7 @@ def _numbers(definitions: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
 def _metric_table(
     title: str, caption: str, definitions: dict[str, pd.DataFrame], printed: dict[str, float], over: str = ""
 ) -> Table:
-    """definitions: by name, a row a seed and a column a metric; over: what sums are divided by, if all by
-    the same.
-    """
+    """definitions: by name, a row a seed and a column a metric; over: what sums are divided by."""
     table = Table(title=title, caption=caption, min_width=79)
     table.add_column("metric")
     for definition in definitions:

@@ -89,9 +89,7 @@ def report(
 
 
 def _write_all(out: Path, contents: Mapping[str, bytes]) -> None:
-    """Write some files, by their paths below `out`; or a RunError, before any is written where that can
-    be foreseen.
-    """
+    """Write some files, by their paths below `out`; raises a RunError, before any is written if it can."""
     targets = {out / name: content for name, content in contents.items()}
     try:
         for target in targets:

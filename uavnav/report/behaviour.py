@@ -194,9 +194,7 @@ def early(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_layout(steps: pd.DataFrame) -> pd.DataFrame:
-    """Measures of `PLACES` on each layout, mean over seeds: columns mode, layout, `corridor_by_layout`
-    and so on.
-    """
+    """Measures of `PLACES` on each layout, mean over seeds: mode, layout, `corridor_by_layout` and so on."""
     of_episodes = steps.groupby(EPISODE)[[*PLACES]].mean()
     return of_episodes.groupby(["mode", "layout"]).mean().add_suffix("_by_layout").reset_index()
 

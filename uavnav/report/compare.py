@@ -92,9 +92,7 @@ def _scripted(run: str | None) -> WrappedTask:
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:
-    """A script's episodes, where a folder above a run keeps them as `uavnav evaluate` wrote them; else
-    None.
-    """
+    """A script's episodes that a folder above a run keeps, as `uavnav evaluate` wrote them; else None."""
     usual = Protocol().header()
     path = Path(run) / "config.yaml"
     if protocol != usual or not path.exists() or read_settings(path).get("task", "drone") != "drone":
@@ -175,9 +173,7 @@ def check(contenders: Sequence[Contender]) -> None:
 
 
 def apart(contenders: Sequence[Contender]) -> str:
-    """Which two flew in different worlds, and in what these differ, in one line; empty where all flew in
-    one.
-    """
+    """Which two flew in different worlds, and how these differ, in one line; often empty."""
     first = contenders[0]
     for other in contenders[1:]:
         differ = [key for key in first.place if key in other.place and first.place[key] != other.place[key]]
@@ -280,9 +276,7 @@ def flown(contenders: Sequence[Contender]) -> str:
 
 
 def _short(names: Sequence[str]) -> list[str]:
-    """Names without the folders that all paths among them share, so that they differ within a narrow
-    column.
-    """
+    """Names without the folders that all paths among them share."""
     paths = [name for name in names if "/" in name]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
     return [name.removeprefix(f"{shared}/") for name in names]

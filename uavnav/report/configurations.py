@@ -39,9 +39,7 @@ WORLDS = "worlds"
 """The folder, in a report's, of the study of that name, which `report.worlds` reads."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
 NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
-"""Settings that every section names; it names others where configurations differ in them or from their
-preset.
-"""
+"""Settings that every section names, beside those in which configurations differ."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
 Key = tuple[str, str]
 """Algorithm and activation."""
@@ -108,9 +106,7 @@ def of_worlds(folders: Sequence[Path]) -> list[Path]:
 
 
 def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
-    """Without the runs of a study that tunes, which has a section of its own; if it is all there is, its
-    defaults.
-    """
+    """Without the runs of a study that tunes; if it is all there is, its defaults."""
     tuned = [folder.resolve() for folder in trials.folders(folders)]
     beside = {
         key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)
@@ -149,9 +145,7 @@ def read(path: Path) -> Configuration:
 
 
 def _protocol(run: Run, rows: pd.DataFrame) -> str:
-    """Which evaluation was read: its file, its layouts, its split and its time limit; and which files
-    were not.
-    """
+    """Which evaluation was read: its file, layouts and time limit; and which files were not."""
     cut = rows.loc[rows["truncated"], "steps"]
     limit = rows.attrs.get("max_steps", cut.max() if len(cut) else "not known")
     layouts = rows.attrs.get("layouts", "not known")
@@ -209,9 +203,7 @@ def algorithms(keys: Iterable[Key]) -> list[str]:
 
 
 def order(key: Key) -> tuple[int | bool | str, ...]:
-    """Where a configuration stands: the paper's activations before others, the paper's algorithms before
-    those of the table.
-    """
+    """Where a configuration stands: the paper's activations first, then the paper's algorithms."""
     algorithm, activation = key
     known, of_paper = [*paper.TABLE_OF, *ALGORITHMS, algorithm], [*paper.ACTIVATIONS, activation]
     is_other = activation not in paper.ACTIVATIONS
@@ -219,9 +211,7 @@ def order(key: Key) -> tuple[int | bool | str, ...]:
 
 
 def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configuration]], str]:
-    """An algorithm's configurations in the paper's order, by how each differs from what is usual; and
-    what is usual.
-    """
+    """An algorithm's configurations by how each differs from what is usual, in order; and what is usual."""
     settings = [
         {key: show(value) for key, value in configuration.settings.items()}
         for configuration in configurations
@@ -293,9 +283,7 @@ def _read_as(configuration: Configuration, definition: str, episodes: pd.DataFra
 def windowed(
     configuration: Configuration, column: str, windows: Sequence[tuple[float, float]]
 ) -> pd.DataFrame:
-    """A column of training per frame in windows of frames: a row a seed, a column a window
-    (`definitions.within`).
-    """
+    """A column of training per frame: a row a seed, a column a window of frames (`definitions.within`)."""
     own = configuration.settings
     at_end = {"reward": own.get("world.collision_reward", World().collision_reward), "terminated": 1.0}
     return within(configuration.episodes, column, windows, own["n_envs"], at_end.get(column, 0.0))

@@ -1,6 +1,4 @@
-"""The one table of evidence: a row a claim of the paper, 1 to 16, with its grade in each column, its parts
-and what our seeds say.
-"""
+"""The one table of evidence: a row a claim, with its grades, its parts and what our seeds say."""
 
 from __future__ import annotations
 
@@ -30,9 +28,7 @@ class Row(NamedTuple):
 
 
 def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
-    """A row a claim; those on other worlds where a folder has that study. prose: of `quotes`; root: of
-    its links.
-    """
+    """A row a claim; 12 to 16 where a folder has that study. prose: of `quotes`; root: of links."""
     quotes = Quotes(content.tables, root)
     return [_row(claim, content, prose, quotes) for claim in (EVERY if content.worlds else CLAIMS)]
 
@@ -54,9 +50,7 @@ def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quote
 
 
 def _graded(own: pd.DataFrame, quotes: Quotes) -> str:
-    """A claim's grade in a column, how many of its parts replicate, and the seeds behind it; a dash without a
-    row of `frames.grades`.
-    """
+    """A claim's grade in a column, how many of its parts replicate, and the seeds; a dash without a row."""
     for place, one in own.iterrows():
         seeds = " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
         counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)

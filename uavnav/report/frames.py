@@ -137,9 +137,7 @@ def estimates(values: pd.DataFrame) -> pd.DataFrame:
 
 @functools.lru_cache(maxsize=8192)
 def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
-    """Mean and interquartile mean of rows of float64 [S] as bytes: page and report.md ask for many of
-    them twice.
-    """
+    """Mean and interquartile mean of rows of float64 [S] as bytes; page and report.md ask twice."""
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 

@@ -1,6 +1,4 @@
-"""My runs: those that name no study, ranked beside the scripted policy, with their curves and a typical
-episode of each. Unfinished runs are rows too.
-"""
+"""My runs, finished or not: those that name no study, ranked beside the scripted policy."""
 
 from __future__ import annotations
 

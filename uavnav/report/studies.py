@@ -69,9 +69,7 @@ class Studies(NamedTuple):
 
 
 def sort(configurations: Sequence[Configuration]) -> Studies:
-    """Deal configurations out to the studies; where two fit the same place, the later one is among the
-    others.
-    """
+    """Deal configurations out to the studies; of two in one place, the later is among the others."""
     studies = Studies({}, {}, {}, {}, {}, {}, {}, [])
     for algorithm in dict.fromkeys(configuration.algorithm for configuration in configurations):
         mine = [configuration for configuration in configurations if configuration.algorithm == algorithm]
@@ -94,9 +92,7 @@ def sort(configurations: Sequence[Configuration]) -> Studies:
 
 
 def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
-    """An algorithm's settings in the study `vectorised`, or else those of most of its configurations,
-    then of most seeds.
-    """
+    """An algorithm's settings in the study `vectorised`, or else its most frequent ones."""
     named = [
         configuration for configuration in configurations if PLACES.get(configuration.study) == "vectorised"
     ]
@@ -151,9 +147,7 @@ def paper_configurations(configurations: Configurations) -> Configurations:
 
 
 def elsewhere(configurations: Sequence[Configuration]) -> list[Configuration]:
-    """Those that have their policies, and another world than the paper's, faults, or a stack of
-    observations.
-    """
+    """Those with policies that have another task, faults, or a stack of observations."""
     usual = flat({"task": "drone", "stack": 1, "faults": NO_FAULTS.model_dump()})
     other = [
         configuration
@@ -168,9 +162,7 @@ def elsewhere(configurations: Sequence[Configuration]) -> list[Configuration]:
 
 
 def wide(studies: Studies) -> Configurations:
-    """All configurations of the first study with activations beyond the paper's: the main one,
-    `vectorised`, or the baseline.
-    """
+    """All configurations of the first study with activations beyond the paper's."""
     return next(
         (
             configurations

@@ -262,9 +262,7 @@ def audit_rows(findings: Sequence[Finding]) -> Rows:
 
 
 def digits(finding: Any) -> int:
-    """Decimals that show an effect's interval with two significant digits; without one, the effect with
-    two.
-    """
+    """Decimals that show an interval with two significant digits; without one, the effect."""
     width = finding.high - finding.low
     known = width if width > 0 else abs(finding.value)
     return min(max(1 - math.floor(math.log10(known)), 0), 6) if known > 0 else 2

@@ -214,9 +214,7 @@ def _contrasts(part: Part, samples: Sequence[Array]) -> Contrasts | None:
 
 
 def _extreme(part: Part, effects_: Array) -> float:
-    """The effect of a part: the smallest of its contrasts where every one has to be above zero, else the
-    largest.
-    """
+    """A part's effect: the smallest contrast where every one has to be above zero, else the largest."""
     return float(np.min(effects_) if part.every else np.max(effects_))
 
 
@@ -246,9 +244,7 @@ def _interval(part: Part, found: Contrasts, level: float | Array) -> tuple[Array
 
 
 def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) -> Array:
-    """How probably the paper's effects [J] are found, at least (Slepian): [...]; level of the two-sided
-    test [...].
-    """
+    """How probably the paper's effects [J] are found, at least (Slepian): [...]; level: two-sided [...]."""
     one_sided = np.asarray(level)[..., None] / 2
     if part.every:
         return np.asarray(found.power(effects_, one_sided).prod(-1))

@@ -48,9 +48,7 @@ Answers = tuple[dict[str, Place], list[Contrast]]
 def _sweep(
     metric: str, setting: str, values: Sequence[str], usual: str, *algorithms: str, low: int = 0
 ) -> Answers:
-    """A row for each value of a setting, with tanh, and the lowest value (at place `low`) against the
-    highest.
-    """
+    """A row for each value of a setting, with tanh; the lowest (at place `low`) against the highest."""
     rows: dict[str, Place] = {}
     contrasts = []
     for one in algorithms:
@@ -86,9 +84,7 @@ def _activations() -> Answers:
 
 
 def _of_pair(study: str, how: str, metrics: Sequence[str], labels: Mapping[str, str]) -> Answers:
-    """A row for each algorithm, activation of the pair and study, as long as the paper's; a study against
-    `LONG`.
-    """
+    """A row for each algorithm, activation of the pair and study; a study against `LONG`."""
     rows = {
         f"{one.upper()} {activation}, {label}": (which, one, activation)
         for one, activation in itertools.product(ALGORITHMS, PAIR)

@@ -211,9 +211,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
 
 def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
-    """The measures of some episodes, a row a seed. An episode that reaches its goal counts as cut off
-    there.
-    """
+    """The measures of some episodes, a row a seed; the goal counts as a cut-off."""
     ended = collided(flown)
     survival = {
         seed: stats.restricted_mean(
@@ -230,9 +228,7 @@ _NONE = pd.DataFrame()
 
 @dataclass(eq=False)
 class Evidence:
-    """What the claims of the discussion ask (an `Evidence` of `claims`); means over worlds are of
-    configurations in all.
-    """
+    """What the claims of the discussion ask (`claims.Evidence`); means over worlds need all of them."""
 
     seeds: Mapping[Key, pd.DataFrame]
 

@@ -234,9 +234,7 @@ def runs_below(folder: Path) -> str:
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
-    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no
-    run's.
-    """
+    """What a config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no run's."""
     said: Any
     kind: type[Facts]
     kind, what = (Meta, "facts") if path.suffix == ".json" else (Config, "configuration")
@@ -270,9 +268,7 @@ def progress(folder: Path) -> dict[str, Any]:
 
 
 def saved_frames(folder: Path) -> int:
-    """The frames per seed behind the newest snapshot of an unfinished run, by the files' names; 0: there is
-    none.
-    """
+    """The frames per seed behind the newest snapshot of an unfinished run, by file names; 0 without one."""
     workers = [one for one in folder.glob(f"{WORKERS}/*") if one.is_dir()]
     if workers:
         return min(map(saved_frames, workers))
@@ -283,9 +279,7 @@ def saved_frames(folder: Path) -> int:
 
 
 def heard(told: Mapping[str, Any], now: float) -> bool:
-    """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of
-    the future.
-    """
+    """Whether a run that said this runs; a killed one may speak of the future, after a clock was set back."""
     return bool(told) and abs(now - told["at"]) < SILENCE
 
 

@@ -128,9 +128,7 @@ def arrow(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def _checked(content: bytes, file: pq.ParquetFile, columns: Collection[str] | None) -> list[pa.Field]:
-    """The columns of text of those that are read; raises a ValueError where one is not plain, or all are
-    too many.
-    """
+    """Columns of text among those that are read; raises a ValueError where one is not plain."""
     schema, facts = file.schema_arrow, file.metadata
     if len({*schema.names}) < len(schema.names) or not {*(columns or ())} <= {*schema.names}:
         raise ValueError("its columns have no names of their own")
@@ -206,9 +204,7 @@ def parquet(table: pd.DataFrame) -> bytes:
 
 
 def with_reward(progress: pd.DataFrame, episodes: pd.DataFrame) -> Columns:
-    """The columns of progress, and `reward`: the mean over the seed's last 100 finished episodes (NaN:
-    none yet).
-    """
+    """The columns of progress, and `reward`: the mean over the last 100 finished episodes (NaN: none yet)."""
     reward = np.full(len(progress), np.nan)
     if len(episodes):
         of_seed = dict(list(in_order(episodes).groupby("seed")))

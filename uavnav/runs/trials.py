@@ -14,9 +14,7 @@ from uavnav import files
 from uavnav.runs.tables import RunError, read_csv
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
-"""What a study that tunes writes into; in there its trials, which are no runs of their own; and winners,
-by trial.
-"""
+"""What a study that tunes writes into: trials, which are no runs of their own, and winners by trial."""
 DEFAULT = "default"
 """Settings of rows of a comparison, beside `TUNED`."""
 DIFFERENCE = "tuned − default"

@@ -73,9 +73,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+012345678
 
 
 def load(text: str) -> Any:
-    """What a YAML text says; numbers may be written as 1e6. Raises a ValueError as `files.parsed_yaml`
-    does.
-    """
+    """What a YAML text says; numbers may be 1e6. Raises a ValueError as `files.parsed_yaml` does."""
     return files.parsed_yaml(text, _Loader)
 
 
@@ -277,9 +275,7 @@ def _is_list(key: str, value: Any) -> bool:
 
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One configuration for each combination of the values that are lists; `hidden` is one by itself,
-    unless it has some.
-    """
+    """One configuration for each combination of the values that are lists."""
     values = {key: value if _is_list(key, value) else [value] for key, value in several.items()}
     for key, value in values.items():
         if not value:
@@ -322,9 +318,7 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
-    """A pattern whose names in braces are filled in, only with short formats: a long one may ask for
-    gigabytes.
-    """
+    """A pattern with its names in braces filled in; a long format would ask for gigabytes."""
     filled = ""
     try:
         for text, name, width, conversion in string.Formatter().parse(str(pattern)):

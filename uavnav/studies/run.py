@@ -197,9 +197,7 @@ def trained(configuration: Configuration) -> bool:
 
 
 def unflown(configuration: Configuration) -> list[list[str]]:
-    """The episodes of a configuration that its study asks for and that are missing: each the words of
-    `uavnav evaluate`.
-    """
+    """The missing episodes that a configuration's study asks for: each the words of `uavnav evaluate`."""
     if configuration.evaluation is None:
         return []
     bounds = {key: value for key, value in configuration.evaluation.items() if key != "layouts"}
@@ -420,9 +418,7 @@ class Runner:
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:
-        """The jobs that have ended, by their engine's word or, now and then, by their files; and dead
-        ones.
-        """
+        """The jobs that have ended, by their engine's word or their files; and dead ones."""
         handles = [job.handle for job in self._running]
         unknown = [False for _ in handles]
         ended = (
@@ -438,9 +434,7 @@ class Runner:
         ]
 
     def _dead(self, job: Job) -> bool:
-        """Whether a job is silent, stuck, or does not begin, for longer than its engine explains; then it
-        is ended.
-        """
+        """Whether a job is silent, stuck, or does not begin, for too long; then it is ended."""
         silence, now = job.silence(), time.monotonic()
         if not job.begun:
             what, since, limit = "has not begun", now - job.since, QUEUE_SECONDS

@@ -204,9 +204,7 @@ def winners(found: Plan) -> list[Configuration]:
 
 
 def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
-    """All configurations of a tuning besides the study's own, a told trial's with its state; settings not
-    known are defaults.
-    """
+    """All configurations of a tuning beside the study's own, a trial's with its state."""
     there = trials(found).set_index(["algorithm", "trial"])["state"].to_dict()
     wanted = [(name, number) for name in found.algorithms for number in range(found.trials)]
     own = [(found.trial(*key, found.defaults(key[0])), there.get(key)) for key in wanted]

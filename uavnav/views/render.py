@@ -291,9 +291,7 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
 
 
 def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
-    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one to
-    keep time.
-    """
+    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one."""
     palette = _palette(frames)
     ticks = [round(100 * index / rate) for index in range(len(frames) + 1)]
     pauses = [10 * (later - now) for now, later in itertools.pairwise(ticks)]
@@ -304,9 +302,7 @@ def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
 
 
 def _palette(frames: Sequence[Picture]) -> Image.Image:
-    """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over
-    the film.
-    """
+    """The colours of a GIF: those that things are drawn in, and the rest from five pictures of the film."""
     own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *map(rgb, (*PILOTS.values(), *OTHERS)))))
     spread = [frames[round(index * (len(frames) - 1) / 4)][::2, ::2] for index in range(5)]
     mixed = Image.fromarray(np.concatenate(spread)).quantize(COLOURS - len(own)).getpalette() or []

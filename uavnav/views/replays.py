@@ -63,9 +63,7 @@ class Trained(NamedTuple):
 
 
 class Field(NamedTuple):
-    """How one quantity is kept: as the nearest whole number of units (or as it is, if the type is a
-    float's).
-    """
+    """How one quantity is kept: as the nearest whole number of units, or a float as it is."""
 
     type: str  # NumPy's name; bytes are little-endian
     unit: float
@@ -186,9 +184,7 @@ def record_apart(configurations: Sequence[Trained]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """What `record_apart` starts: read from the standard input which configurations fly, write to the
-    standard output how.
-    """
+    """The process of `record_apart`: configurations come by standard input, replays leave by output."""
     asked = json.load(sys.stdin)
     plugins.load(asked["plugins"])
     configurations = [
@@ -391,9 +387,7 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[E
 
 
 def _slots(task: WrappedTask, observation: Tensor) -> Tensor:
-    """The slots [F, 10, 3], in 3D [F, 10, 4], of observations [F, n], without velocities; of a stack the
-    newest's.
-    """
+    """The slots [F, 10, 3], in 3D [F, 10, 4], of observations [F, n], no velocities; a stack's newest."""
     world = task.world
     slots = observation[:, : world.n_slots * len(world.slot_low)].reshape(len(observation), world.n_slots, -1)
     return slots[..., : 4 if isinstance(world, SpaceWorld) else 3]

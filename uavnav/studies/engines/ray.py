@@ -186,9 +186,7 @@ def _answers(address: str) -> bool:
 
 
 def _knock(address: str) -> None:
-    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute and then end the
-    process.
-    """
+    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host, int(port)), KNOCK_SECONDS).close()

@@ -340,9 +340,7 @@ def _rows(layouts: Tensor) -> dict[str, Any]:
 
 
 def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
-    """The scene of a page that is opened without a link: you, and who was named; else two runs and the
-    scripted policy.
-    """
+    """The scene of a page opened without a link: you and who was named, or two runs and the script."""
     named = [one for one in flyers.policies if one["key"] in flyers.named]
     first = min(named, key=lambda one: flyers.named.index(one["key"]), default=None)
     tasks = [one["task"] for one in ([first] if first else flyers.policies)]

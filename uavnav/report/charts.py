@@ -1,5 +1,4 @@
-"""Figures of configurations side by side: metrics and measures with their seeds, comparisons, and what they
-cost.
+"""Figures of configurations side by side: metrics with their seeds, and effects beside the paper's.
 
 Every function takes plain data and returns a figure with its words. Letters: S seeds of a configuration.
 """
@@ -15,11 +14,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from uavnav import stats, style
-from uavnav.report.frames import MEASURES
 from uavnav.stats import Array, Interval
 
 
@@ -164,98 +160,3 @@ def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     handles.append(Line2D([], [], color=style.PALE, linewidth=2.2, label="does not count"))
     style.legend(figure, handles, 3)
     return style.Drawn(figure, f"{title}: {'; '.join(said)}.")
-
-
-@matplotlib.rc_context(style.STYLE)
-def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """How the configurations fly: a panel a measure, in it a row a configuration: mean, 95 % interval and
-    seeds.
-
-    table: a row a seed; columns configuration, algorithm, activation, seed, and the measures, of which
-        `MEASURES` names some;
-    width: of the figure [inches].
-    """
-    measures = [
-        name for name in table.columns if name not in ("configuration", "algorithm", "activation", "seed")
-    ]
-    measures = [name for name in measures if table[name].notna().any()]
-    if not measures:
-        return style.nothing("how the configurations fly")
-    names = list(dict.fromkeys(table["configuration"]))
-    columns = min(len(measures), 2) if width >= style.WIDTH else 1
-    lines = -(-len(measures) // columns)
-    figure = Figure(figsize=(width, lines * (0.3 * len(names) + 0.9) + 0.5), layout="constrained")
-    panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
-    said = []
-    for axes, measure in zip(panels, measures, strict=False):
-        parts = []
-        for row, (name, (colour, _)) in enumerate(style.coloured(names)):
-            seeds = table.loc[table["configuration"] == name, measure].to_numpy(dtype=np.float64)
-            found = style.row_of_seeds(axes, row, seeds, colour)
-            parts.append(f"{name} {style.number(found.value)}")
-        label = MEASURES.get(measure, measure.replace("_", " "))
-        axes.set_xlabel(label)
-        axes.xaxis.set_major_locator(MaxNLocator(5))
-        said.append(f"{label}: {', '.join(parts)}")
-    for axes in panels[len(measures) :]:
-        axes.set_axis_off()
-    counts = table["configuration"].value_counts()
-    style.name_rows(figure.axes[0], [f"{name}, n = {counts[name]}" for name in names])
-    handles = [
-        Line2D([], [], marker="o", markersize=8, color=style.INK, label="mean, 95 % interval over seeds"),
-        style.mark("o", "a seed", markersize=5, alpha=0.5),
-    ]
-    style.legend(figure, handles)
-    return style.Drawn(figure, f"How the configurations fly, means over seeds: {'; '.join(said)}.")
-
-
-@matplotlib.rc_context(style.STYLE)
-def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default
-    shaded.
-
-    table: columns switch (one is `default`), conclusion, value, low, high (a difference in mean reward), n;
-    width: of the figure [inches].
-    """
-    title = "Differences in mean reward under other choices"
-    if not len(table) or table["value"].isna().all():
-        return style.nothing(title)
-    names, conclusions = list(dict.fromkeys(table["switch"])), list(dict.fromkeys(table["conclusion"]))
-    names.sort(key=lambda name: name != "default")
-    lines = 1 if width >= style.WIDTH else len(conclusions)  # of panels with the same rows
-    figure = Figure(figsize=(width, lines * (0.42 * len(names) + 2.0)), layout="constrained")
-    panels = figure.subplots(lines, len(conclusions) // lines, sharey=True, squeeze=False).ravel()
-    said = []
-    for axes, conclusion in zip(panels, conclusions, strict=True):
-        rows = table[table["conclusion"] == conclusion].set_index("switch")
-        usual = rows.loc["default"] if "default" in rows.index else None
-        if usual is not None and np.isfinite(usual["low"]):
-            axes.axvspan(usual["low"], usual["high"], color=style.CLEAR, alpha=0.15, linewidth=0)
-        axes.axvline(0, color=style.INK, linewidth=1.2)
-        for name, row in rows.iterrows():
-            clear = row["low"] > 0 or row["high"] < 0
-            look: dict[str, Any] = {"color": style.CLEAR if clear else style.PALE, "linewidth": 2.2}
-            axes.plot([row["low"], row["high"]], [names.index(str(name))] * 2, **look)
-            axes.plot(row["value"], names.index(str(name)), "o", color=look["color"], markersize=7)
-        axes.set_title(textwrap.fill(conclusion, 14 if width >= style.WIDTH else 18))
-        axes.set_xlabel("difference\nin mean reward")
-        axes.xaxis.set_major_locator(MaxNLocator(2))
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        if usual is not None:
-            others = rows.drop(index="default")
-            same = int((np.sign(others["value"]) == np.sign(usual["value"])).sum())
-            found = Interval(usual["value"], usual["low"], usual["high"], int(usual["n"]))
-            count = f"of the same sign under {same} of {len(others)} other choices"
-            said.append(f"{conclusion} {style.said(found)} by default, {count}")
-    least = table.groupby("switch")["n"].min()
-    for axes in panels:
-        style.name_rows(axes, [f"{name}, n = {least[name]:.0f}" for name in names])
-    handles = [
-        Line2D([], [], marker="o", color=style.CLEAR, linewidth=2, label="95 % interval without 0"),
-        Line2D([], [], marker="o", color=style.PALE, linewidth=2, label="with 0"),
-        Patch(color=style.CLEAR, alpha=0.15, label="the default's"),
-    ]
-    style.legend(figure, handles, 3)
-    return style.Drawn(
-        figure, f"{title}: {'; '.join(said) or f'{len(names)} choices, none of them the default'}."
-    )

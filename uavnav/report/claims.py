@@ -11,12 +11,11 @@ Letters: S seeds of a configuration, C terms of a part, J its contrasts.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import pandas as pd
 
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, SAMPLED
@@ -613,9 +612,3 @@ PRINTED = {
     "DQN: bounded − unbounded": (7, 3),
 }
 """The differences of reward that the paper prints: the number of a claim and the place of its part."""
-
-
-def long(samples: Mapping[tuple[str, str], Array]) -> pd.DataFrame:
-    """One row a seed, as `stats.interaction` takes it: columns algorithm, activation, value."""
-    rows = [(*configuration, value) for configuration, values in samples.items() for value in values]
-    return pd.DataFrame(rows, columns=["algorithm", "activation", "value"])

@@ -18,7 +18,7 @@ from rich.table import Table
 from uavnav import stats, style
 from uavnav.errors import did_you_mean
 from uavnav.report import configurations, curves, tables
-from uavnav.report.configurations import Configuration
+from uavnav.report.configurations import Configuration, curve
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
@@ -310,7 +310,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         console.print(told)
     for one in contenders:
         if one.configuration is not None:
-            line = curves.learning(one.configuration, "reward")["mean"]
+            line = curves.band(curve(one.configuration))["mean"]
             ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
             console.print(f"{one.name}: reward per frame in training {spark(line.tolist())} {ends}")
 
@@ -331,7 +331,7 @@ def page(contenders: Sequence[Contender]) -> bytes:
     figures = {"survival": [curves.survival(*kept, width, looks) for width in WIDTHS]}
     if learned:
         figures["curves"] = [
-            curves.curves(learned, "reward", {}, width=width, looks={name: looks[name] for name in learned})
+            curves.curves(learned, {}, width=width, looks={name: looks[name] for name in learned})
             for width in WIDTHS
         ]
     page = templating.page(

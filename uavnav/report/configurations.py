@@ -35,6 +35,7 @@ from uavnav.tasks.world import World
 
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
+CURVE = "curve"
 WORLDS = "worlds"
 """The folder, in a report's, of the study of that name, which `report.worlds` reads."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
@@ -55,7 +56,7 @@ class Configuration:
     runs: list[Run]
     episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
-    # by metric definition, or by curve
+    # by metric definition; and the `CURVE`
     known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -280,25 +281,23 @@ def _read_as(configuration: Configuration, definition: str, episodes: pd.DataFra
     return per_seed(episodes, ratio_of_means=definition == TOTALS)
 
 
-def windowed(
-    configuration: Configuration, column: str, windows: Sequence[tuple[float, float]]
-) -> pd.DataFrame:
-    """A column of training per frame: a row a seed, a column a window of frames (`definitions.within`)."""
+def windowed(configuration: Configuration, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
+    """Reward of training per frame: a row a seed, a column a window of frames (`definitions.within`)."""
     own = configuration.settings
-    at_end = {"reward": own.get("world.collision_reward", World().collision_reward), "terminated": 1.0}
-    return within(configuration.episodes, column, windows, own["n_envs"], at_end.get(column, 0.0))
+    at_end = own.get("world.collision_reward", World().collision_reward)
+    return within(configuration.episodes, "reward", windows, own["n_envs"], at_end)
 
 
-def curve(configuration: Configuration, column: str) -> pd.DataFrame:
-    """A column per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed.
+def curve(configuration: Configuration) -> pd.DataFrame:
+    """Reward per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed.
 
     It is worked out once, as `read_as` is.
     """
-    if column not in configuration.known:
+    if CURVE not in configuration.known:
         edges = np.linspace(0, configuration.settings["frames"], BINS + 1)
-        seeds = windowed(configuration, column, [*itertools.pairwise(edges)])
-        configuration.known[column] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
-    return configuration.known[column]
+        seeds = windowed(configuration, [*itertools.pairwise(edges)])
+        configuration.known[CURVE] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
+    return configuration.known[CURVE]
 
 
 def show(value: object) -> str:

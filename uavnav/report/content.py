@@ -280,7 +280,7 @@ def _tables(all_configurations: Studies, episodes: Episodes) -> dict[str, pd.Dat
         "one_run": frames.one_run(values),
         "tuned": frames.estimates(frames.per_seed_values(all_configurations.tuned)),
         "improvement": frames.improvement(of_paper),
-        "interaction": frames.interactions(all_configurations.main),
+        "interaction": frames.interactions(values),
         "power": frames.power(all_configurations.main),
         "behaviour": frames.flown(episodes),
         "diagnostics": frames.diagnostics(of_paper),

@@ -24,14 +24,11 @@ from uavnav.stats import Array, Interval
 
 RESAMPLES = 1_000
 """Bootstrap draws of the band of a curve."""
-LINES = {"reward": "mean over seeds", "steps": "all seeds' frames over all their collisions"}
-"""What a learning curve shows, by its column."""
 
 
 @matplotlib.rc_context(style.STYLE)
 def curves(
     configurations: Mapping[str, Configuration],
-    column: str,
     printed: Mapping[str, float],
     title: str = "",
     width: float = style.WIDTH,
@@ -41,18 +38,18 @@ def curves(
     """Learning curves as the paper's figures 4 and 5: a line a configuration, a band, the paper's mean
     dashed.
 
-    configurations: by label; column: one of `LINES`; printed: the paper's mean by label; width: of the figure
+    configurations: by label; printed: the paper's mean by label; width: of the figure
         [inches]; looks: a colour and a line by label, or else by activation; rule: what the scripted policy
         earns per frame.
     """
-    metric = words(column, PER_FRAME)
+    metric = words("reward", PER_FRAME)
     title = f"{title}{metric} in training"
     if not any(len(configuration.episodes) for configuration in configurations.values()):
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     colours, ends = {}, []
     for name, (colour, dashes) in (looks or dict(style.coloured(configurations))).items():
-        line, n = learning(configurations[name], column), configurations[name].n_seeds
+        line, n = band(curve(configurations[name])), configurations[name].n_seeds
         _line(axes, line, colour, dashes, f"{name}, n = {n}")
         if name in printed:
             axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
@@ -68,25 +65,11 @@ def curves(
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(6 if width >= style.WIDTH else 3))
     several = any(one.n_seeds > 1 for one in configurations.values())
-    band = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
-    handles = [band] * several
+    shade = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
+    handles = [shade] * several
     handles += [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")] * bool(printed)
     style.legend(figure, [*axes.get_legend_handles_labels()[0], *handles], 3)
     return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
-
-
-def learning(configuration: Configuration, column: str) -> pd.DataFrame:
-    """A configuration's learning curve, as `band` gives it: one of `LINES`, in the metric definition *per
-    frame*.
-
-    Steps per collision are frames over collisions, of all seeds together: a seed that never collides counts
-        too.
-    """
-    if column != "steps":
-        return band(curve(configuration, column))
-    line = band(curve(configuration, "terminated"))
-    upside_down = 1 / line[["mean", "high", "low"]].where(lambda rate: rate > 0)  # NaN where nobody collided
-    return line.assign(**dict(zip(("mean", "low", "high"), upside_down.to_numpy().T, strict=True)))
 
 
 def _name_dashes(axes: Axes, printed: Mapping[str, float], colours: Mapping[str, str]) -> None:

@@ -215,7 +215,7 @@ def _group(
         figures.append((f"ranking-{place + 1}", draw(), draw(width=style.NARROW), words))
     if any(len(one.episodes) for one in learned.values()):
         mine = {name: looks[name] for name in learned}
-        draw = functools.partial(curves.curves, learned, "reward", {}, looks=mine, rule=earned)
+        draw = functools.partial(curves.curves, learned, {}, looks=mine, rule=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )

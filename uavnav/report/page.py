@@ -180,8 +180,8 @@ def sections(content: Content) -> list[tuple[str, str]]:
 def first_episodes(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can beside the rule."""
     gaps = content.tables["gaps"]
-    best = [frames.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
-    flown = gaps.loc[[place for place in best if place is not None]].sort_values("reward", ascending=False)
+    flown = gaps[(gaps["mode"] == MODES[1]) & gaps["algorithm"].isin(paper.TABLE_OF)]
+    flown = flown.sort_values("reward", ascending=False).drop_duplicates("algorithm")
     configurations = {who: tables.in_words(who) for who in flown["who"]}
     shown = together(content.replays, configurations, RULE) if content.replays else None
     return shown if shown and len(shown["drones"]) > 1 else None

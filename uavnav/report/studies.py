@@ -210,7 +210,7 @@ class Rows:
             if self.definition == LOG_CURVE:
                 rewards = last_hundred(episodes_of(configuration, LOG_CURVE), "reward", windows)
             else:
-                rewards = windowed(configuration, "reward", windows)
+                rewards = windowed(configuration, windows)
             times = [f"reward_{when}" for when in ("before", "surge", "after")]
             table = table.join(rewards.set_axis(times, axis=1))
         return table

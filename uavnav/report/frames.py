@@ -444,7 +444,8 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.Data
     for definition, own in known.groupby("definition", sort=False):
         groups: list[tuple[Any, pd.DataFrame]] = [((), own)]
         for key, part in [*groups, *own.groupby(["algorithm", "activation"], sort=False)]:
-            seeds = [evidence[str(definition)](*key, metric) for metric in part["metric"] if key]
+            of = evidence[str(definition)]
+            seeds = [of(str(key[0]), str(key[1]), metric) for metric in part["metric"] if key]
             as_one = len({*map(len, seeds)}) == 1
             joint = stats.joint(np.stack(seeds, 1), part["paper"].to_numpy()) if as_one else [np.nan] * 2
             facts = int(part["within"].sum()), len(part), part["score"].mean()

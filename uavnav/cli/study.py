@@ -167,12 +167,9 @@ def main(arguments: Namespace) -> int:
     given = own.seeds, own.frames
     if arguments.status:
         engines.described(own.engine, of_engine, Keys.names())
-        rows = [status(configuration) for configuration in studies.configurations(study, out, *given)]
+        rows = [status(one) for one in studies.configurations(study, out, *given)]
         if (plan := search.plan(study, out, own.trials, *given)) is not None:
-            rows += [
-                status(configuration) | ({"state": state} if state else {})
-                for configuration, state in search.planned(plan)
-            ]
+            rows += [status(one) | ({"state": state} if state else {}) for one, state in search.planned(plan)]
         _print_status(rows, arguments.json)
         return 0
     engine = engines.build(own.engine, of_engine, Keys.names())

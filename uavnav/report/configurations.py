@@ -213,17 +213,11 @@ def order(key: Key) -> tuple[int | bool | str, ...]:
 
 def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configuration]], str]:
     """An algorithm's configurations by how each differs from what is usual, in order; and what is usual."""
-    settings = [
-        {key: show(value) for key, value in configuration.settings.items()}
-        for configuration in configurations
-    ]
+    settings = [{key: show(value) for key, value in one.settings.items()} for one in configurations]
     differing = {key for one in settings for key in one if len({other.get(key) for other in settings}) > 1}
     differing -= {"total_frames"} if "frames" in differing else set()
     beyond = {
-        key
-        for configuration in configurations
-        for run in configuration.runs
-        for key in flat(run.meta["beyond_preset"])
+        key for one in configurations for run in one.runs for key in flat(run.meta["beyond_preset"])
     } - {"layouts"}
     named = [*NAMED, *sorted((differing | beyond).difference(NAMED))]
     usual = {

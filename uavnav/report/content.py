@@ -60,8 +60,8 @@ class Content:
     def of_the_study(self) -> bool:
         """Whether the main study is the one that answers for the paper, and all of it."""
         named = [
-            studies.PLACES.get(configuration.study) == "main"
-            for configuration in studies.paper_configurations(self.studies.main).values()
+            studies.PLACES.get(one.study) == "main"
+            for one in studies.paper_configurations(self.studies.main).values()
         ]
         return not self.missing and all(named)
 
@@ -76,10 +76,7 @@ class Content:
     @property
     def flown(self) -> dict[str, pd.DataFrame]:
         """Each configuration's test episodes as a row a seed, sampled, by the folder of its first run."""
-        read = {
-            str(configuration.runs[0].path): read_as(configuration, SAMPLED)
-            for configuration in self.configurations
-        }
+        read = {str(one.runs[0].path): read_as(one, SAMPLED) for one in self.configurations}
         return {name: seeds for name, seeds in read.items() if len(seeds)}
 
     @functools.cached_property
@@ -91,13 +88,10 @@ class Content:
     def paper_tables(self) -> dict[str, list[list[str]]]:
         """The main study as in the paper's tables, by algorithm: the paper's, and whatever else has runs."""
         of_paper = studies.paper_configurations(self.studies.main)
-        others = algorithms(
-            (configuration.algorithm, configuration.activation) for configuration in self.configurations
-        )
+        others = algorithms((one.algorithm, one.activation) for one in self.configurations)
         return {
             algorithm: tables.table(
-                [(key[1], configuration) for key, configuration in of_paper.items() if key[0] == algorithm],
-                algorithm,
+                [(key[1], one) for key, one in of_paper.items() if key[0] == algorithm], algorithm
             )
             for algorithm in dict.fromkeys([*paper.TABLE_OF, *others])
         }
@@ -122,15 +116,9 @@ def gather(
     left_out += studies.in_none(sorted_configurations)
     of_paper = studies.paper_configurations(sorted_configurations.main)
     shown = dict.fromkeys([*of_paper.values(), *studies.elsewhere(configurations)])
-    flying = [
-        replays.Trained(configuration.algorithm, configuration.activation, configuration.runs)
-        for configuration in shown
-    ]
+    flying = [replays.Trained(one.algorithm, one.activation, one.runs) for one in shown]
     # what nothing else waits for flies meanwhile
-    with (
-        machine.use_threads(1),
-        ThreadPoolExecutor(1) as beside,
-    ):
+    with machine.use_threads(1), ThreadPoolExecutor(1) as beside:
         replayed = beside.submit(fly, flying)
         tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(sorted_configurations)

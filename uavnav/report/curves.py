@@ -44,7 +44,7 @@ def curves(
     """
     metric = words("reward", PER_FRAME)
     title = f"{title}{metric} in training"
-    if not any(len(configuration.episodes) for configuration in configurations.values()):
+    if not any(len(one.episodes) for one in configurations.values()):
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     colours, ends = {}, []

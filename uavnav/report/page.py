@@ -10,15 +10,7 @@ from typing import Any
 import numpy as np
 
 from uavnav import evaluation
-from uavnav.report import (
-    arena,
-    evidence,
-    frames,
-    studies,
-    tables,
-    whys,
-    worlds,
-)
+from uavnav.report import arena, evidence, frames, studies, tables, whys, worlds
 from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
@@ -196,18 +188,11 @@ def markdown(content: Content) -> str:
     """report.md: the verdicts, the tables in every metric definition, how the runs were made."""
     parts = []
     # each has a table of its own
-    questions = (
-        *content.studies.why.values(),
-        *content.studies.switches.values(),
-    )
-    answered = {
-        id(configuration) for configurations in questions for configuration in configurations.values()
-    }
+    questions = (*content.studies.why.values(), *content.studies.switches.values())
+    answered = {id(one) for configurations in questions for one in configurations.values()}
     for algorithm in content.paper_tables:
         mine = [
-            configuration
-            for configuration in content.configurations
-            if configuration.algorithm == algorithm and id(configuration) not in answered
+            one for one in content.configurations if one.algorithm == algorithm and id(one) not in answered
         ]
         part, usual = label(mine)
         parts.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})

@@ -71,8 +71,8 @@ class Studies(NamedTuple):
 def sort(configurations: Sequence[Configuration]) -> Studies:
     """Deal configurations out to the studies; of two in one place, the later is among the others."""
     studies = Studies({}, {}, {}, {}, {}, {}, {}, [])
-    for algorithm in dict.fromkeys(configuration.algorithm for configuration in configurations):
-        mine = [configuration for configuration in configurations if configuration.algorithm == algorithm]
+    for algorithm in dict.fromkeys(one.algorithm for one in configurations):
+        mine = [one for one in configurations if one.algorithm == algorithm]
         usual = _usual(mine)
         for configuration in mine:
             place = _place(studies, configuration, usual)
@@ -93,9 +93,7 @@ def sort(configurations: Sequence[Configuration]) -> Studies:
 
 def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
     """An algorithm's settings in the study `vectorised`, or else its most frequent ones."""
-    named = [
-        configuration for configuration in configurations if PLACES.get(configuration.study) == "vectorised"
-    ]
+    named = [one for one in configurations if PLACES.get(one.study) == "vectorised"]
     groups = [
         [one for one in named or configurations if one.settings == configuration.settings]
         for configuration in named or configurations
@@ -141,24 +139,18 @@ def in_none(studies: Studies) -> list[str]:
 
 def paper_configurations(configurations: Configurations) -> Configurations:
     """Those of the paper's activations, of whatever algorithm."""
-    return {
-        key: configuration for key, configuration in configurations.items() if key[1] in paper.ACTIVATIONS
-    }
+    return {key: one for key, one in configurations.items() if key[1] in paper.ACTIVATIONS}
 
 
 def elsewhere(configurations: Sequence[Configuration]) -> list[Configuration]:
     """Those with policies that have another task, faults, or a stack of observations."""
     usual = flat({"task": "drone", "stack": 1, "faults": NO_FAULTS.model_dump()})
     other = [
-        configuration
-        for configuration in configurations
-        if any(configuration.settings.get(key, value) != value for key, value in usual.items())
+        one
+        for one in configurations
+        if any(one.settings.get(key, value) != value for key, value in usual.items())
     ]
-    return [
-        configuration
-        for configuration in other
-        if any((run.path / POLICY).exists() for run in configuration.runs)
-    ]
+    return [one for one in other if any((run.path / POLICY).exists() for run in one.runs)]
 
 
 def wide(studies: Studies) -> Configurations:
@@ -175,11 +167,7 @@ def wide(studies: Studies) -> Configurations:
 
 def further(studies: Studies) -> Configurations:
     """The configurations in many environments of algorithms beyond the paper's."""
-    return {
-        key: configuration
-        for key, configuration in studies.of("vectorised").items()
-        if key[0] not in paper.TABLE_OF
-    }
+    return {key: one for key, one in studies.of("vectorised").items() if key[0] not in paper.TABLE_OF}
 
 
 @dataclass(eq=False)

@@ -218,8 +218,8 @@ def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
     a seed.
     """
     found = [
-        {"configuration": configuration, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
-        for configuration, part in frame.groupby("configuration", sort=False)
+        {"configuration": one, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
+        for one, part in frame.groupby("configuration", sort=False)
         for name in columns
     ]
     return crossed(
@@ -363,14 +363,8 @@ def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -
     def estimates_of(part: pd.DataFrame, columns: Sequence[str]) -> list[str]:
         return _across(part, "metric", METRICS, lambda one: _estimate(one, columns))
 
-    for activation in dict.fromkeys(
-        [*of_paper, *(configuration.activation for _, configuration in configurations)]
-    ):
-        ours = [
-            (label, configuration)
-            for label, configuration in configurations
-            if configuration.activation == activation
-        ]
+    for activation in dict.fromkeys([*of_paper, *(one.activation for _, one in configurations)]):
+        ours = [(label, one) for label, one in configurations if one.activation == activation]
         if activation in of_paper:
             for which, per_frame in (("the paper", False), (f"the paper, {PER_FRAME}", True)):
                 printed = _printed(algorithm, activation, per_frame)
@@ -427,7 +421,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
     cut off.
     """
     rows = [["who", "seeds", "episodes", "cut off", *map(str, METRICS.values())]]
-    learned = {name(*key): episodes_of(configuration, SAMPLED) for key, configuration in main.items()}
+    learned = {name(*key): episodes_of(one, SAMPLED) for key, one in main.items()}
     for who, part in [*found.items(), *learned.items()]:
         ended = finished(part)
         if ended.empty:
@@ -525,7 +519,7 @@ def facts(configurations: list[Configuration]) -> list[str]:
     lines = []
     for kind in ("versions", "git_commit", "machine", "layouts", "evaluation"):
         groups: dict[str, list[str]] = {}
-        for run in (run for configuration in configurations for run in configuration.runs):
+        for run in (run for one in configurations for run in one.runs):
             fact = run.meta.get(kind)
             if isinstance(fact, dict):
                 fact = ", ".join(f"{key} {show(value)}" for key, value in fact.items())

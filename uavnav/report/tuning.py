@@ -76,9 +76,7 @@ def _configurations(folder: Path) -> tuple[Configurations, list[str]]:
         found, left_out = collect([folder])
     except RunError as error:
         return {}, [one_line(error)]
-    return {
-        (configuration.algorithm, configuration.activation): configuration for configuration in found
-    }, left_out
+    return {(one.algorithm, one.activation): one for one in found}, left_out
 
 
 def _compared(
@@ -89,7 +87,7 @@ def _compared(
     for algorithm in algorithms:
         seeds: dict[str, list[stats.Array]] = {}
         for which, found in configurations.items():
-            mine = [(key, configuration) for key, configuration in found.items() if key[0] == algorithm]
+            mine = [(key, one) for key, one in found.items() if key[0] == algorithm]
             seeds[which] = [
                 one for _, configuration in mine if len(one := frames.of_seeds(configuration, SAMPLED))
             ]

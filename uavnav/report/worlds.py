@@ -17,17 +17,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats, style
-from uavnav.report.claims import (
-    ALL_WORLDS,
-    CRASHED,
-    EXPLAINS,
-    RANKED,
-    SCATTER,
-    SLOPE,
-    VARIATION,
-    at,
-    slopes,
-)
+from uavnav.report.claims import ALL_WORLDS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
 from uavnav.report.configurations import of_worlds, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
@@ -272,9 +262,7 @@ class Evidence:
         for world in self._worlds:
             own = (key for key in self._seeds if key[0] == world and key[1] not in without)
             configurations = (key for key in own if self._everywhere(*key[1:]))
-            mine = [
-                table for configuration in configurations if measure in (table := self._seeds[configuration])
-            ]
+            mine = [table for one in configurations if measure in (table := self._seeds[one])]
             if len(mine) > 2:
                 first, second = (
                     pd.concat(

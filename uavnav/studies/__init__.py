@@ -190,17 +190,15 @@ def only(study: Study, chosen: str | None) -> Study:
     if chosen is None:
         return study
     wanted = [name.strip() for name in chosen.split(",")]
-    there = {name for configuration in study.configurations for name in algorithms(configuration)}
+    there = {name for one in study.configurations for name in algorithms(one)}
     for name in wanted:
         if name not in there:
             raise unknown("algorithms", name, there)
     kept = [
-        dict(configuration) | {"algorithm": [name for name in algorithms(configuration) if name in wanted]}
-        for configuration in study.configurations
+        dict(one) | {"algorithm": [name for name in algorithms(one) if name in wanted]}
+        for one in study.configurations
     ]
-    return study._replace(
-        configurations=[configuration for configuration in kept if configuration["algorithm"]]
-    )
+    return study._replace(configurations=[one for one in kept if one["algorithm"]])
 
 
 def check_settings(name: str, said: Any) -> None:
@@ -252,7 +250,7 @@ def configurations(
                 ]
             except (ConfigError, LayoutError) as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
-    for folder, number in Counter(configuration.out for configuration in found).items():
+    for folder, number in Counter(one.out for one in found).items():
         if number > 1:
             raise ConfigError(
                 f"study {study.name}: folder={folder}: two configurations share it; name in braces what "

@@ -270,11 +270,7 @@ class Runner:
                     f"{configuration.out}: n_seeds={configuration.config.n_seeds}; give at most "
                     f"{MOST_SEEDS:,}"
                 )
-        self.works = [
-            Work(configuration)
-            for configuration in configurations
-            if not (self._trained(configuration) and evaluated(configuration))
-        ]
+        self.works = [Work(one) for one in configurations if not (self._trained(one) and evaluated(one))]
         for configuration in configurations:
             # the folder of a finished one, too, may contain another run
             Recorder(configuration.out, configuration.config)

@@ -54,9 +54,7 @@ class Plan(NamedTuple):
     @property
     def algorithms(self) -> list[str]:
         """Those that the study has configurations of."""
-        there = {
-            name for configuration in self.study.configurations for name in studies.algorithms(configuration)
-        }
+        there = {name for one in self.study.configurations for name in studies.algorithms(one)}
         return [name for name in self.said["space"] if name in there]
 
     def range(self, algorithm: str, setting: str) -> Any:
@@ -128,7 +126,7 @@ def plan(
             raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CONFIGURATIONS:,} in all")
         studies.check_settings("settings", said["settings"])
         for algorithm in dict.fromkeys(
-            name for configuration in study.configurations for name in studies.algorithms(configuration)
+            name for one in study.configurations for name in studies.algorithms(one)
         ):
             if algorithm not in said["space"]:
                 raise unknown("algorithm", algorithm, said["space"])
@@ -183,7 +181,7 @@ def _check_seeds(found: Plan) -> None:
     compared = studies.configurations(found.study, found.out, seeds, found.frames)
     for algorithm in found.algorithms:
         seen = {*found.trial(algorithm, 0, {}).config.seeds}
-        own = [configuration for configuration in compared if configuration.config.algorithm == algorithm]
+        own = [one for one in compared if one.config.algorithm == algorithm]
         for configuration in (found.configuration(algorithm, {}, TUNED, said), *own):
             if shared := seen.intersection(configuration.config.seeds):
                 raise ConfigError(
@@ -200,7 +198,7 @@ def trials(found: Plan) -> pd.DataFrame:
 def winners(found: Plan) -> list[Configuration]:
     """The configurations that train the best trial's settings of each algorithm that has a finished one."""
     configurations = [found.winner(name, trials(found)) for name in found.algorithms]
-    return [configuration for configuration in configurations if configuration is not None]
+    return [one for one in configurations if one is not None]
 
 
 def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
@@ -211,6 +209,5 @@ def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
     configurations = {name: found.winner(name, trials(found)) for name in found.algorithms}
     usual = found.study.settings
     return own + [
-        (configuration or found.configuration(name, {}, TUNED, usual), None)
-        for name, configuration in configurations.items()
+        (one or found.configuration(name, {}, TUNED, usual), None) for name, one in configurations.items()
     ]

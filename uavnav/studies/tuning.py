@@ -72,10 +72,7 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
             ]
             if not round_:
                 break
-            failed = {
-                str(work.configuration.out): work
-                for work in train([configuration for _, _, configuration in round_])
-            }
+            failed = {str(work.configuration.out): work for work in train([one for _, _, one in round_])}
             if others := [work for work in failed.values() if not work.diverged]:
                 return others
             for search, trial, configuration in round_:

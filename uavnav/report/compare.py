@@ -21,6 +21,7 @@ from uavnav.report import configurations, curves, tables
 from uavnav.report.configurations import Configuration, curve
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
+from uavnav.runs.lately import sparkline
 from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import SCRIPTS
@@ -36,7 +37,6 @@ MARKS = (100, 1_000, 10_000)
 """Steps after which the episodes that go on are counted."""
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
 """Fields of a world that are the drone's own: neither layouts nor rewards depend on them."""
-BARS = "▁▂▃▄▅▆▇█"
 WIDTHS = style.WIDTH, style.NARROW
 """Of a figure on a page and on a phone."""
 
@@ -261,14 +261,6 @@ def improvement(contenders: Sequence[Contender]) -> pd.DataFrame:
     )
 
 
-def spark(values: Sequence[float]) -> str:
-    """Numbers as bars, from the least to the most."""
-    known = np.asarray(values, dtype=np.float64)
-    low, high = np.nanmin(known), np.nanmax(known)
-    heights = np.nan_to_num((known - low) / ((high - low) or 1.0)) * (len(BARS) - 1)
-    return "".join(BARS[round(height)] for height in heights.tolist())
-
-
 def flown(contenders: Sequence[Contender]) -> str:
     """How all of them were flown."""
     episodes, layouts, limit = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
@@ -312,7 +304,9 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         if one.configuration is not None:
             line = curves.band(curve(one.configuration))["mean"]
             ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
-            console.print(f"{one.name}: reward per frame in training {spark(line.tolist())} {ends}")
+            console.print(
+                f"{one.name}: reward per frame in training {sparkline(line.fillna(0.0).tolist())} {ends}"
+            )
 
 
 def page(contenders: Sequence[Contender]) -> bytes:

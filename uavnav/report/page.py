@@ -145,6 +145,10 @@ def page(
     pictures: by the figure's name, for a page and for a phone; first: the report's first folder, for what a
     command needs; own: what stands before the study; watched: the page renews itself.
     """
+    tables_of_paper = [
+        (f"Table {paper.TABLE_OF[one]}: {one.upper()}" if one in paper.TABLE_OF else one.upper(), rows)
+        for one, rows in content.paper_tables.items()
+    ]
     return fill(
         "page.html",
         also=render("results.md", content),
@@ -153,7 +157,7 @@ def page(
             replays=content.replays,
             together=first_episodes(content),
             sections=[("runs", "My runs")] * bool(own) + sections(content),
-            paper_tables=[(_table_name(algorithm), rows) for algorithm, rows in content.paper_tables.items()],
+            paper_tables=tables_of_paper,
             pictures=pictures,
             first=first,
             mine=own,
@@ -179,21 +183,14 @@ def first_episodes(content: Content) -> dict[str, Any] | None:
     return shown if shown and len(shown["drones"]) > 1 else None
 
 
-def _table_name(algorithm: str) -> str:
-    number = paper.TABLE_OF.get(algorithm)
-    return f"Table {number}: {algorithm.upper()}" if number else algorithm.upper()
-
-
 def markdown(content: Content) -> str:
     """report.md: the verdicts, the tables in every metric definition, how the runs were made."""
+    # each of these has a table of its own
+    beside = [*content.studies.why.values(), *content.studies.switches.values()]
+    answered = {id(one) for configurations in beside for one in configurations.values()}
+    shown = [one for one in content.configurations if id(one) not in answered]
     parts = []
-    # each has a table of its own
-    questions = (*content.studies.why.values(), *content.studies.switches.values())
-    answered = {id(one) for configurations in questions for one in configurations.values()}
-    for algorithm in content.paper_tables:
-        mine = [
-            one for one in content.configurations if one.algorithm == algorithm and id(one) not in answered
-        ]
-        part, usual = label(mine)
-        parts.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
+    for name in content.paper_tables:
+        part, usual = label([one for one in shown if one.algorithm == name])
+        parts.append({"name": name, "usual": usual, "table": tables.table(part, name)})
     return render("report.md", content, sections=parts, bins=BINS).strip() + "\n"

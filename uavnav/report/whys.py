@@ -158,17 +158,16 @@ def table(evidence: Evidence) -> pd.DataFrame:
     """
     rows: list[list[object]] = []
 
-    def minus(metric: str, first: Sequence[Place], second: Sequence[Place]) -> stats.Interval:
-        sides = (
-            [evidence(which, activation, metric, study=study) for study, which, activation in side]
-            for side in (first, second)
-        )
-        return stats.difference(*sides)
+    def of(places: Sequence[Place], metric: str) -> list[stats.Array]:
+        return [evidence(which, activation, metric, study=study) for study, which, activation in places]
 
     for one in QUESTIONS:
-        answers = [[one.name, name, metric, *minus(metric, *sides)] for metric, name, *sides in one.contrasts]
+        answers = [
+            [one.name, name, metric, *stats.difference(of(first, metric), of(second, metric))]
+            for metric, name, first, second in one.contrasts
+        ]
         drawn = [
-            [one.name, label, metric, *minus(metric, [place], [])]
+            [one.name, label, metric, *stats.difference(of([place], metric), [])]
             for (label, place), metric in itertools.product(one.rows.items(), one.metrics)
         ]
         if any(answer[-1] for answer in answers):

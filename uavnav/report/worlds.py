@@ -22,7 +22,7 @@ from uavnav.report.configurations import of_worlds, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
-from uavnav.stats import Array, Interval
+from uavnav.stats import Array
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
 
 if TYPE_CHECKING:
@@ -84,15 +84,25 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
                 raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(place, flown)
-            made.append(_made(world, run))
+            facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
+            who = dict(zip(("world", "algorithm", "activation"), key, strict=True)) | {
+                "seeds": len(run.seeds)
+            }
+            made.append({"run": str(path), **who, **facts, **(run.meta.get("machine") or {})})
         except (RunError, KeyError) as error:
             left_out.append(one_line(error))
     if not seeds:
         return None
-    in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
-    seeds = dict(
-        sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0])))
-    )
+
+    def by_number(name: str) -> tuple[object, ...]:  # density-4 comes before density-16
+        words, _, number = name.partition("-")
+        return name != "drone", *((words, float(number)) if number.isdecimal() else (name, 0.0))
+
+    def rank(key: Key) -> tuple[object, ...]:  # the default presets first
+        return in_order.index(_place(key[0])), key[0] != _place(key[0]), *order(key[1:])
+
+    in_order = sorted(places, key=by_number)
+    seeds = {key: seeds[key] for key in sorted(seeds, key=rank)}
     scripted, rungs, lines = _of_scripts([home / "baselines" for home in homes], in_order, places, seeds)
     return Worlds(seeds, scripted, rungs, pd.DataFrame(made), [*left_out, *lines])
 
@@ -131,29 +141,6 @@ def _of_scripts(
             if at("reward", *rung) in there:
                 rungs[rung] = flown_as(protocol._replace(layouts=ladders.sets_of(*rung)))
     return scripted, rungs, left_out
-
-
-def _made(world: str, run: Run) -> dict[str, object]:
-    """How a run was made: what tells it apart from the others, and what its `meta.json` says of it."""
-    who = {
-        "world": world,
-        "algorithm": run.algorithm,
-        "activation": run.config["activation"],
-        "seeds": len(run.seeds),
-    }
-    facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
-    return {"run": str(run.path), **who, **facts, **(run.meta.get("machine") or {})}
-
-
-def _rank(key: Key) -> tuple[object, ...]:
-    """Where a configuration stands in its world: the default presets first."""
-    return key[0] != _place(key[0]), *order(key[1:])
-
-
-def _digits_last(name: str) -> tuple[str, float]:
-    """A world's name as words and a number, so that density-4 comes before density-16."""
-    words, _, number = name.partition("-")
-    return (words, float(number)) if number.isdecimal() else (name, 0.0)
 
 
 def _place(world: str) -> str:
@@ -280,9 +267,11 @@ class Evidence:
 def summary(found: Worlds) -> pd.DataFrame:
     """A row a world, configuration (or script) and measure: value, low, high and n, intervals over seeds."""
     values = []
-    everything = [(key[0], _named(key), table) for key, table in found.seeds.items()]
-    everything += [(world, rule, table) for (world, rule), table in found.scripted.items()]
-    for world, name, table in everything:
+    everything = {
+        (world, f"{algorithm.upper()} {activation}{' fast' * (world != _place(world))}"): table
+        for (world, algorithm, activation), table in found.seeds.items()
+    }
+    for (world, name), table in (everything | found.scripted).items():
         for metric in (one for one in (*MEASURES, *OWN) if one in table):
             # most episodes end at the goal: few tell how long one lives
             if metric == "survival" and "success" in table:
@@ -290,23 +279,6 @@ def summary(found: Worlds) -> pd.DataFrame:
             one = stats.interval(table[metric].dropna().to_numpy())
             values.append([_place(world), name, metric, *one[:3], one.n])
     return pd.DataFrame(values, columns=["world", "who", "metric", "value", "low", "high", "n"])
-
-
-def _named(key: Key) -> str:
-    world, algorithm, activation = key
-    return f"{algorithm.upper()} {activation}" + (" fast" if world != _place(world) else "")
-
-
-def _rewards(found: pd.DataFrame) -> dict[str, tuple[dict[str, Interval], dict[str, Interval]]]:
-    """Rewards of each world's learned configurations, the best first, and of its scripts."""
-    rewards = {}
-    for world, mine in found[found["metric"] == "reward"].groupby("world", sort=False):
-        both = {row[1]: Interval(*row[3:]) for row in mine.itertuples(index=False)}
-        best = sorted(
-            (item for item in both.items() if item[0] not in SCRIPTS), key=lambda item: -item[1].value
-        )
-        rewards[str(world)] = dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
-    return rewards
 
 
 def leaders(found: pd.DataFrame) -> pd.DataFrame:
@@ -317,25 +289,24 @@ def leaders(found: pd.DataFrame) -> pd.DataFrame:
     `chance` has the policies whose interval is not above random flight's.
     """
     rows = []
-    for world, (learned, scripts) in _rewards(found).items():
-        best, most = next(iter(learned.items()))
-        none = Interval(np.nan, np.nan, np.nan, 0)
-        script, top = max(scripts.items(), key=lambda item: item[1].value, default=("", none))
-        ahead = "neither" if scripts else ""
-        if all(top.value > _top(one) for one in learned.values()):
+    rewards = found[found["metric"] == "reward"].sort_values("value", ascending=False, kind="stable")
+    rewards = rewards.assign(top=rewards["high"].fillna(rewards["value"]))
+    for world in found["world"].unique():
+        mine = rewards[rewards["world"] == world]
+        scripted = mine["who"].isin(SCRIPTS)
+        scripts, learned = mine[scripted], mine[~scripted]
+        best, chance = learned.iloc[0], scripts.loc[scripts["who"] == DRAWS, "top"].max()
+        none = pd.Series({"who": "", "value": np.nan, "top": np.nan})
+        script, ahead = (scripts.iloc[0], "neither") if len(scripts) else (none, "")
+        if (script["value"] > learned["top"]).all():
             ahead = "a script"
-        elif most.low > _top(top):
+        elif best["low"] > script["top"]:
             ahead = "a policy"
-        chance = scripts.get(DRAWS, none)
-        under = "; ".join(who for who, one in learned.items() if one.low <= _top(chance))
-        rows.append([world, best, *most[:3], script, top.value, ahead, under])
+        under = "; ".join(learned.loc[learned["low"] <= chance, "who"])
+        numbers = best[["who", "value", "low", "high"]]
+        rows.append([world, *numbers, script["who"], script["value"], ahead, under])
     columns = ["world", "best", "value", "low", "high", "script", "scripted", "ahead", "chance"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def _top(one: Interval) -> float:
-    """The upper end of an interval, or the value where there is none."""
-    return one.high if np.isfinite(one.high) else one.value
 
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:

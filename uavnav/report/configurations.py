@@ -85,11 +85,8 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     for path in paths.values():
         try:
             configuration = read(path)
-            key = json.dumps(
-                [configuration.algorithm, configuration.activation, configuration.settings],
-                sort_keys=True,
-                default=str,
-            )
+            who = [configuration.algorithm, configuration.activation, configuration.settings]
+            key = json.dumps(who, sort_keys=True, default=str)
             configurations[key] = (
                 _merged(configurations[key], configuration) if key in configurations else configuration
             )

@@ -112,22 +112,19 @@ def gather(
         RunError: a folder is missing or holds no run, or no run can be used.
     """
     configurations, left_out = found or collect(folders)
-    sorted_configurations = studies.sort(configurations)
-    left_out += studies.in_none(sorted_configurations)
-    of_paper = studies.paper_configurations(sorted_configurations.main)
+    dealt = studies.sort(configurations)
+    left_out += studies.in_none(dealt)
+    main, of_paper = dealt.main, studies.paper_configurations(dealt.main)
     shown = dict.fromkeys([*of_paper.values(), *studies.elsewhere(configurations)])
     flying = [replays.Trained(one.algorithm, one.activation, one.runs) for one in shown]
     # what nothing else waits for flies meanwhile
     with machine.use_threads(1), ThreadPoolExecutor(1) as beside:
         replayed = beside.submit(fly, flying)
         tell("measuring episodes")
-        episodes, by_layout, watched, problems = watch(sorted_configurations)
+        episodes, by_layout, watched, problems = watch(dealt)
         baselines, unread = frames.baselines(folders)
         tuned, winners, untuned = tuning.read(folders, baselines)
-        evidence = {
-            definition: Rows(sorted_configurations, definition, episodes, by_layout, winners)
-            for definition in DEFINITIONS
-        }
+        evidence = {one: Rows(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
         tell("judging the claims")
         audits, errs = {}, []
         for column, definition in COLUMNS.items():
@@ -135,29 +132,46 @@ def gather(
             audits[column] = audit(evidence[definition], printed, asked(CLAIMS, column))
             shares = characteristics(evidence[definition], printed, asked(CLAIMS, column))
             errs.append(shares.assign(column=column))
-        survival, survived = frames.survival(sorted_configurations.main, baselines)
+        survival, survived = frames.survival(main, baselines)
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
-        carried = frames.carried(sorted_configurations, evidence[PRIMARY])
+        carried = frames.carried(dealt, evidence[PRIMARY])
         tell("working out tables")
-        numbers = _tables(sorted_configurations, episodes) | {
+        values, vectorised = frames.per_seed_values(main), studies.paper_configurations(dealt.vectorised)
+        numbers = {
+            "seeds": values,
+            "metrics": frames.estimates(values),
+            "one_run": frames.one_run(values),
+            "tuned": frames.estimates(frames.per_seed_values(dealt.tuned)),
+            "improvement": frames.improvement(of_paper),
+            "interaction": frames.interactions(values),
+            "power": frames.power(main),
+            "behaviour": frames.flown(episodes),
+            "diagnostics": frames.diagnostics(of_paper),
+            "sensitivity": frames.sensitivity(dealt),
+            "configurations": frames.sizes(dealt),
+            "effects": frames.effects(dealt),
+            "worlds": frames.one_against_many(dealt),
+            "vectorised": frames.estimates(frames.per_seed_values(vectorised)),
+            "wide": frames.estimates(frames.per_seed_values(studies.wide(dealt))),
+            "speed": frames.speed(of_paper),
             "whys": whys.table(evidence[PRIMARY]),
             "overestimation": overestimated,
             "survival": survived,
             "predictions": predictions,
             "gaps": (gaps := frames.gaps(of_paper, baselines)),
             "passing": frames.passing(gaps),
-            "by_default": frames.by_default(sorted_configurations, winners),
+            "by_default": frames.by_default(dealt, winners),
             "fits": frames.fits(predictions, evidence),
             "peaks": frames.peaks(of_paper, evidence[LOG_CURVE]),
             **tuned,
         }
-        if sorted_configurations.tuned:
-            numbers["fast"] = frames.gaps(sorted_configurations.tuned, baselines)
+        if dealt.tuned:
+            numbers["fast"] = frames.gaps(dealt.tuned, baselines)
         if len(carried):
             numbers |= {
                 "carried": carried,
-                "further": frames.gaps(studies.further(sorted_configurations), baselines),
+                "further": frames.gaps(studies.further(dealt), baselines),
             }
         if of_worlds := worlds.gather(folders):
             elsewhere = worlds.Evidence(of_worlds.seeds)
@@ -180,7 +194,7 @@ def gather(
         flown = replayed.result()
     return Content(
         configurations,
-        sorted_configurations,
+        dealt,
         audits,
         numbers,
         drawn,
@@ -204,13 +218,13 @@ def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, li
     problems = []
     for study in (*WATCHED, *all_configurations.why):
         for key, configuration in studies.paper_configurations(all_configurations.of(study)).items():
+            place = (study, *key)
             for found, in_arena in ((tables, False), (empty, True)):
-                if found is tables or (study == "main" and (study, *key) in tables):
-                    rows, lines = _of_runs(
-                        configuration, functools.partial(behaviour.read, in_arena=in_arena)
-                    )
+                if found is tables or (study == "main" and place in tables):
+                    read = functools.partial(behaviour.read, in_arena=in_arena)
+                    rows, lines = _of_runs(configuration, read)
                     problems += lines
-                    found |= {(study, *key): pd.concat(rows, ignore_index=True)} if rows else {}
+                    found |= {place: pd.concat(rows, ignore_index=True)} if rows else {}
     world, all_layouts = World(), layouts.load("test")
     measured, by_layout = {}, {}
     for place, table in tables.items():
@@ -255,30 +269,3 @@ def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFram
     return pd.concat(parts or [pd.DataFrame(columns=["configuration", *columns])], ignore_index=True)[
         ["configuration", *columns]
     ], problems
-
-
-def _tables(all_configurations: Studies, episodes: Episodes) -> dict[str, pd.DataFrame]:
-    values, of_paper = (
-        frames.per_seed_values(all_configurations.main),
-        studies.paper_configurations(all_configurations.main),
-    )
-    return {
-        "seeds": values,
-        "metrics": frames.estimates(values),
-        "one_run": frames.one_run(values),
-        "tuned": frames.estimates(frames.per_seed_values(all_configurations.tuned)),
-        "improvement": frames.improvement(of_paper),
-        "interaction": frames.interactions(values),
-        "power": frames.power(all_configurations.main),
-        "behaviour": frames.flown(episodes),
-        "diagnostics": frames.diagnostics(of_paper),
-        "sensitivity": frames.sensitivity(all_configurations),
-        "configurations": frames.sizes(all_configurations),
-        "effects": frames.effects(all_configurations),
-        "worlds": frames.one_against_many(all_configurations),
-        "vectorised": frames.estimates(
-            frames.per_seed_values(studies.paper_configurations(all_configurations.vectorised))
-        ),
-        "wide": frames.estimates(frames.per_seed_values(studies.wide(all_configurations))),
-        "speed": frames.speed(of_paper),
-    }

@@ -55,7 +55,8 @@ def curves(
             axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
         beside = f"the paper's mean {style.number(printed[name])}" if name in printed else ""
         colours[name] = colour
-        ends.append(f"{name} {_end(line, beside)}")
+        end = Interval(*line.iloc[-1]) if len(line) else Interval(np.nan, np.nan, np.nan, 0)
+        ends.append(f"{name} {style.said(end._replace(n=int(end.n)), beside)}")
     if np.isfinite(rule):
         axes.axhline(rule, label=style.RULE, **style.RULED)
     axes.set_ylabel(metric)
@@ -153,13 +154,6 @@ def _line(axes: Axes, line: pd.DataFrame, colour: str, dashes: str, legend: str,
     alone = line[known & ~known.shift(fill_value=False) & ~known.shift(-1, fill_value=False)]
     if len(alone):  # a band has no width there
         axes.vlines(alone.index.to_numpy(), alone["low"], alone["high"], color=colour, alpha=0.2, linewidth=6)
-
-
-def _end(line: pd.DataFrame, beside: str = "") -> str:
-    if not len(line):
-        return "no data"
-    mean, low, high, n = line.iloc[-1]
-    return style.said(Interval(mean, low, high, int(n)), beside)
 
 
 @matplotlib.rc_context(style.STYLE)

@@ -22,7 +22,7 @@ from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
-from uavnav.stats import Array, Interval
+from uavnav.stats import Interval
 from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
@@ -92,7 +92,13 @@ def gather(
     ]
     status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True)) | {YOU: "by hand"}
     configurations = [*own.values(), *(one for one, _ in begun.values())]
-    contenders = [_contender(name, one) for name, one in zip(paths, configurations, strict=True)]
+    contenders = []
+    for name, one in zip(paths, configurations, strict=True):
+        first, rows = one.runs[0].evaluation() if one.runs else None, None
+        if first is not None:  # several runs may differ in their seeds alone
+            rows = one.evaluation.copy()
+            rows.attrs = first.attrs
+        contenders.append(compare.trained(name, one, rows))
     tell("ranking runs beside the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
     groups = []
@@ -168,15 +174,6 @@ def _names(paths: Sequence[str], folders: Sequence[Path]) -> list[str]:
     return [name if short.count(name) == 1 else path for name, path in zip(short, paths, strict=True)]
 
 
-def _contender(name: str, configuration: Configuration) -> Contender:
-    """A run, or several that differ in their seeds, with the test episodes of all."""
-    first, rows = configuration.runs[0].evaluation() if configuration.runs else None, None
-    if first is not None:
-        rows = configuration.evaluation.copy()
-        rows.attrs = first.attrs
-    return compare.trained(name, configuration, rows)
-
-
 def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
     """Those that flew in one world by one protocol together; those that did not fly, with their world's."""
     groups: list[list[Contender]] = []
@@ -201,7 +198,12 @@ def _group(
     """The ranking and the figures of runs in one world; place: of the group, for the names of its files."""
     flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -_reward(one)[0].value)
     ordered = [*flown, *(one for one in members if not len(one.episodes))]
-    rows = {one.name: (_dots(one), _reward(one)[0]) for one in flown}
+    rows = {}
+    for one in flown:
+        rewards = one.episodes["reward"]
+        seeds = rewards.groupby(one.episodes["seed"]).mean()
+        dots = seeds if len(seeds) > 1 else rewards  # a number a seed, or an episode of a single seed
+        rows[one.name] = dots.to_numpy(np.float64), _reward(one)[0]
     rule = earned = np.nan
     if scripted is not None:
         rule, sums = _reward(scripted)[0].value, scripted.episodes[["reward", "steps"]].sum()
@@ -229,12 +231,6 @@ def _group(
         _ranking(ordered, scripted, status),
         figures,
     )
-
-
-def _dots(one: Contender) -> Array:
-    """A number a seed, or an episode of a single seed."""
-    seeds = one.episodes.groupby("seed")["reward"].mean()
-    return (seeds if len(seeds) > 1 else one.episodes["reward"]).to_numpy(np.float64)
 
 
 def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:

@@ -1,7 +1,6 @@
 """What figures share: their look, the colours of activations, marks, names, and how they are saved.
 
-A configuration's label is its algorithm, a space and its activation, then perhaps settings in brackets: `PPO
-tanh (lr=0.1)`. Colours are told apart by colour-blind readers too. Letters: S seeds of a configuration.
+A configuration's label is `PPO tanh`, perhaps with settings in brackets. Letters: S seeds.
 """
 
 from __future__ import annotations

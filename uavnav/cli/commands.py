@@ -1,8 +1,6 @@
-"""The command line: every command with its arguments, known without torch, so that help and mistakes come at
-once.
+"""The command line: every command with its arguments, known without torch, so that help comes at once.
 
-`run` parses the words of a command, calls `main` of its module, and says in one line what went wrong. To add
-a command, add it to `KINDS`, and write the module with a `main`.
+To add a command, add it to `KINDS`, and write the module with a `main`.
 """
 
 from __future__ import annotations
@@ -147,8 +145,7 @@ def _settings(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """An algorithm, settings and flags, in any order.
 
     The result has `algorithm`, `settings` (each key=value), `plugins`, `multirun`, `cfg`, `quiet`, `json` and
-    `help`: that is true where plugins add to the choices, or a task has a world of its own, which only their
-    modules know.
+    `help`, which is true where plugins or a task's module must be asked.
     """
     asked = {"-h", "--help"}
     found, strange = parser.parse_known_intermixed_args([word for word in words if word not in asked])

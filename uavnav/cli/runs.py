@@ -58,8 +58,7 @@ STATES = {FINISHED: "finished", "failed": "failed"}
 def row(path: Path, now: float) -> dict[str, Any]:
     """What is said of a run: `RUN_COLUMNS`, `total` frames, and while it trains its pace and `lately`.
 
-    Frames are per seed: so far, or those that are saved of a run that was stopped. Rewards are means over the
-    run's own evaluation. Raises a RunError where its files are no run's.
+    Frames are per seed: so far, or saved by a run that was stopped. Raises a RunError.
     """
     config = read_settings(path / "config.yaml")
     if "total_frames" not in config:
@@ -168,10 +167,7 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
 
 
 def found(given: Namespace, tell: bool) -> list[dict[str, Any]]:
-    """What is said of every run in the folders given, or of one's own and those that ship.
-
-    tell: say which are left out.
-    """
+    """What is said of every run in the folders given, or of one's own and those that ship."""
     own = [name for name in ("runs", "results") if Path(name).is_dir()]
     folders = given.folders or own[:1]
     now, rows = time.time(), list[dict[str, Any]]()

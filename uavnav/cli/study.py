@@ -52,11 +52,7 @@ class Keys(Settings):
 
 
 def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
-    """The settings in `key=value` words, and those that are the engine's.
-
-    Raises:
-        ConfigError: a word is no setting, or a value is not right.
-    """
+    """The settings in `key=value` words, and those that are the engine's; raises a ConfigError."""
     given = {}
     for word in words:
         name, equals, value = word.partition("=")

@@ -272,10 +272,7 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
 
 
 def _next(runs: Sequence[Run], order: Order, names: Sequence[str]) -> str:
-    """What to do next with the newest run, which an order describes, in commands that run as they stand.
-
-    runs: all of a sweep; names: of the plugins that they need.
-    """
+    """What to do next with the newest run, in commands that run as they stand; names: of plugins."""
     paths = [str(run.path) for run in runs]
     with_plugins = ["--plugins", ",".join(names)] if names else []
     longer = order.config.replace(total_frames=2 * order.config.total_frames)

@@ -128,8 +128,7 @@ def on(
     max_steps: int = MAX_STEPS,
     faults: Faults | None = None,
 ) -> WrappedTask:
-    """The task of an evaluation: the first layouts of a layout file, a time limit, and these faults instead
-    of its own.
+    """The task of an evaluation: the first layouts of a file, a time limit, and these faults or its own.
 
     Raises:
         LayoutError: the split cannot be read.
@@ -233,13 +232,9 @@ def _table(parts: list[dict[str, Tensor]], who: pd.DataFrame, columns: dict[str,
 
 
 def in_empty_arena(modes: Mapping[str, Mapping[int, Policy]], steps: int = WATCHED_STEPS) -> pd.DataFrame:
-    """The actions of an episode for each policy and start heading, until a collision or for so many steps.
+    """The actions of an episode for each policy and start heading, at most so many steps.
 
-    Returns:
-        A row a step, columns seed, layout, action, mode; layout counts `HEADINGS`.
-
-    Raises:
-        ValueError: steps is below 1.
+    Columns seed, layout (counts `HEADINGS`), action, mode. Raises a ValueError where steps is below 1.
     """
     first = next(iter(next(iter(modes.values())).values()))
     task = first.task.replace(layouts=EMPTY_ARENA, max_steps=steps)
@@ -254,20 +249,16 @@ def evaluate_run(
     quiet: bool = False,
     faults: Faults | None = None,
 ) -> pd.DataFrame:
-    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (see
-    `Protocol.file`).
+    """Evaluate every seed of a run, greedy and sampled, and keep its rows (see `Protocol.file`).
 
-    Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how
-    far it is, unless it is `quiet`. Faults are those that the run was trained with, unless others are given.
-    The time limit is 10,000 steps if none is given, or the task's own where that is lower.
+    On a terminal a bar shows how far it is, unless it is `quiet`. By default faults are of training, and the
+    time limit is 10,000 steps, or the task's own where that is lower.
 
     Returns:
-        The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the file's header, the
-        protocol.
+        The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs` the protocol, as in the file's header.
 
     Raises:
-        LayoutError, PolicyError, RunError: the split or the run's policy cannot be read, or its folder not be
-            written.
+        LayoutError, PolicyError, RunError: a file cannot be read or written.
     """
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")

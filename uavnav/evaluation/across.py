@@ -1,7 +1,6 @@
 """Evaluate policies across ladders: reward, collisions and survival against difficulty.
 
-`uavnav evaluate RUN... --across density slalom` evaluates each policy on every rung and draws one figure a
-ladder.
+`uavnav evaluate RUN... --across density slalom` draws one figure a ladder.
 """
 
 from __future__ import annotations
@@ -87,13 +86,9 @@ def climb(
     scripted: WrappedTask | None = None,
     tell: Callable[[float], object] = lambda seconds: None,
 ) -> pd.DataFrame:
-    """Fly every rung of a ladder on its first test layouts.
+    """Fly every rung of a ladder on its first test layouts: `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
 
-    scripted: the task of a scripted policy; by default the paper's.
-    tell: is told how many seconds the first rung took.
-
-    Returns:
-        A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
+    scripted: the task of a scripted policy; by default the paper's; tell: is told the first rung's seconds.
     """
     own = who.task or scripted or make_task(EMPTY)
     parts: list[pd.DataFrame] = []
@@ -112,9 +107,8 @@ def climb(
 def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung", of_one_seed: bool = False) -> pd.DataFrame:
     """Means and 95 % intervals, a row a name, mode, rung and measure; rows: of `climb`, by name.
 
-    An interval is over n seeds. One seed has none; with `of_one_seed`, its interval is over its n episodes,
-    which says nothing of other seeds. The column `over` says which.
-    by: the column that tells where an episode was.
+    An interval is over n seeds. One seed has none; with `of_one_seed`, its interval is over its n episodes.
+    The column `over` says which. by: the column that tells where an episode was.
     """
     found = []
     for name, table in rows.items():
@@ -152,10 +146,7 @@ def in_brief(table: pd.DataFrame) -> str:
 def draw(
     table: pd.DataFrame, ladder: Ladder, kinds: Mapping[str, str], width: float = style.WIDTH
 ) -> style.Drawn:
-    """Each measure against difficulty, one line a policy as it acts in training, bands for intervals.
-
-    kinds: by name, the algorithm of a policy, for its colour.
-    """
+    """Each measure against difficulty, a line and a band a policy; kinds: by name, for colours."""
     mine = table[table["mode"] != "greedy"]
     measures = [*dict.fromkeys(mine["measure"])]
     figure = Figure(figsize=(width, 1 + 2.5 * len(measures)), layout="constrained")
@@ -226,11 +217,10 @@ def across(
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted policies, across ladders; keep rows and a figure.
 
-    The time limit is 2,000 steps if none is given, or that of a policy's own task where it is lower. `tell`
-    is told of limits that differ, and a figure is named after the highest. Scripted policies fly the task of
-    the first policy's training, or `task` where there is none. A ladder that one of the tasks does not have
-    is left out, and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in the
-    first run's folder. `alone`, policies fly only as in training, without scripted ones and a figure.
+    The time limit is 2,000 steps by default, or that of a policy's own task where it is lower. `tell` is told
+    of limits that differ and of ladders that a task lacks. Scripted policies fly the task of the first
+    policy's training, or `task`. Rows of a run lie in its folder, figures in `out` or the first run's folder.
+    `alone`: no scripted policies, no greedy episodes, no figure.
 
     Returns:
         What the tables show, for JSON.

@@ -48,10 +48,7 @@ class Policies:
     def act(self, observation: Tensor, sizes: Sequence[int]) -> tuple[Tensor, Tensor | None]:
         """An action for each row, and the numbers behind it unless a script acts: [F, obs] -> [F], [F, n].
 
-        sizes: how many rows each policy has; they lie one policy behind the other.
-
-        Raises:
-            ValueError: a policy chose something that is no action.
+        sizes: how many rows each policy has, in turn. Raises a ValueError for what is no action.
         """
         each = iter(sizes)
         own_sizes = [[*itertools.islice(each, group.n)] for group in self._groups]

@@ -81,12 +81,8 @@ def steps(
 ) -> Iterator[Transition]:
     """Step until every episode has ended by a collision or at the time limit, or the caller has seen enough.
 
-    Set `ended` of an episode, and it goes no further.
-
-    policies: with the seeds of their generators; heading: [layouts] of the start, where it is not the task's.
-
-    Raises:
-        ValueError: a policy chose something that is no action.
+    Set `ended` of an episode, and it goes no further. policies: with the seeds of their generators; heading:
+    [layouts] of the start, where it is not the task's. Raises a ValueError for what is no action.
     """
     seeds = [seed for seed, _ in policies]
     state, draws = start(task, seeds, heading), _draws(task, seeds, "faults in evaluation")

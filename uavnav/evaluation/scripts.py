@@ -1,8 +1,4 @@
-"""Rows of the scripted policies in the tasks of a study, which a report reads beside its runs.
-
-`uavnav evaluate random straight reactive --seeds 10 --out DIR` writes them, and so does a study that has
-`scripts`.
-"""
+"""Rows of the scripted policies in the tasks of a study, which a report reads beside its runs."""
 
 from __future__ import annotations
 
@@ -40,10 +36,7 @@ def protocol_in(task: WrappedTask, layouts: str, episodes: int, max_steps: int) 
 
 
 def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Rows of scripted policies by name, from the first folder that has them; a line for what cannot be used.
-
-    Each line names the command that writes the rows.
-    """
+    """Rows of scripted policies, from the first folder that has them; and commands for others."""
     found, left_out = {}, []
     absent = [name for name in SCRIPTS if all(name in missing(folder, protocol) for folder in folders)]
     if absent:

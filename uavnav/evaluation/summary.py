@@ -112,11 +112,9 @@ def _metric_table(
 
 
 def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, float]:
-    """The paper's row for a run; nothing where its task or its split, or those of its episodes, are not the
-    paper's.
+    """The paper's row for a run; nothing where its task or split, or those of its episodes, are other ones.
 
-    What the paper leaves open may be read otherwise: `DEFINITIONS`.
-    flown: how it was flown, as in the header of a file of rows.
+    What the paper leaves open may be read otherwise: `DEFINITIONS`. flown: the header of a file of rows.
     """
     config, episodes = run.config, flown or {}
     world = {
@@ -131,10 +129,7 @@ def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, floa
 
 
 def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
-    """The six metrics of an evaluation in each of its modes, beside the paper's row where there is one.
-
-    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`; who: has flown, a run or a policy's name.
-    """
+    """The six metrics of an evaluation in each of its modes, beside the paper's row; who: has flown."""
     flown = _flown(rows)
     censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in flown)
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
@@ -160,10 +155,7 @@ def _own(rows: pd.DataFrame) -> list[str]:
 
 
 def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
-    """How a run flies that acts as in training, in a sentence, beside `reactive` where that flies the same.
-
-    rows: as `evaluate_run` gives them on the test split; config: of the run.
-    """
+    """How a run flies that acts as in training, beside `reactive` where that flies the same."""
     flown, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
     share, limit = flown["truncated"].mean(), rows.attrs["max_steps"]
     ends = f"sampled, {share:.0%} of episodes reach the limit of {limit:,} steps"
@@ -191,10 +183,7 @@ def report(run: Run) -> None:
 
 
 def show(table: Table) -> None:
-    """Print a table, wider than the terminal rather than cut off.
-
-    Where nobody reads, it is as any other line is: rich would end the process with a status of its own.
-    """
+    """Print a table, wider than the terminal rather than cut off; a closed pipe is met as by `print`."""
     console = Console()
     # as if the terminal were so wide
     whole = console.measure(table, options=console.options.update(width=1000))

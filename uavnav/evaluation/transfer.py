@@ -1,9 +1,4 @@
-"""The transfer matrix: trained in one environment, evaluated in another, where observations have the same
-size.
-
-`uavnav evaluate RUN RUN... --transfer` evaluates each policy on the test layouts of each world that one of
-them was trained in.
-"""
+"""The transfer matrix, `uavnav evaluate RUN RUN... --transfer`: trained in one world, flown in each."""
 
 from __future__ import annotations
 
@@ -49,11 +44,7 @@ class Place(NamedTuple):
 def place(run: Run, episodes: int, max_steps: int | None) -> Place:
     """Where a run was trained: its world and faults, on the first test layouts that belong to its split.
 
-    The time limit is 2,000 steps if none is given, or the task's own where that is lower.
-
-    Raises:
-        LayoutError: there are no such layouts.
-        RunError: its settings name no world.
+    The time limit is 2,000 steps by default, or the task's own where that is lower.
     """
     task, layouts = trained_in(run)
     flown = task.on(layouts, max_steps or task.limit(ACROSS_STEPS))
@@ -63,8 +54,7 @@ def place(run: Run, episodes: int, max_steps: int | None) -> Place:
 def trained_in(run: Run) -> tuple[WrappedTask, str]:
     """The task of a run's training, without obstacles, and the test layouts that belong to its split.
 
-    Raises:
-        RunError: its settings name no world.
+    Raises a RunError where its settings name no world.
     """
     own = run.config
     try:
@@ -118,10 +108,7 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
 
 @matplotlib.rc_context(style.STYLE)
 def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
-    """The reward of each policy, as it acts in training, in each world: a heat map with its numbers.
-
-    table: of `judged`; trained: by name, the world of its training, which is framed.
-    """
+    """The reward of each policy, as in training, in each world: a heat map; trained: a name's own world."""
     mine = table[(table["mode"] != "greedy") & (table["measure"] == "reward")]
     names, worlds = ([*dict.fromkeys(mine[column])] for column in ("name", FLOWN))
     found = mine.set_index(["name", FLOWN])
@@ -187,18 +174,15 @@ def transfer(
     quiet: bool,
     say: Callable[[str], object] = print,
 ) -> list[dict[str, Any]]:
-    """Fly all that is named in every place of training; rows and a figure lie in `out` or the first run's
-    folder.
+    """Fly all that is named in every place of training; rows and a figure lie in `out` or a run's folder.
 
-    max_steps: as of `place`; files are named after the highest limit.
-    say: is told, in one line, who is left out because it sees or does something else.
+    max_steps: as of `place`; say: is told who is left out because it sees or does something else.
 
     Returns:
         What the table shows, for JSON.
 
     Raises:
-        LayoutError, PolicyError, RunError: a layout file or a policy cannot be read, or a file not be
-            written.
+        LayoutError, PolicyError, RunError: a file cannot be read or written.
         ValueError: a count below 1, or more layouts than a layout file has.
     """
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, splits.SPLITS["test"].n)

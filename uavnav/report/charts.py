@@ -27,12 +27,11 @@ def intervals(
     rule: float = np.nan,
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """A metric's mean with its 95 % interval, its interquartile mean, its seeds and the paper's value: a row
-    a configuration.
+    """A metric's seeds, mean, 95 % interval, interquartile mean and the paper's value: a row a configuration.
 
-    rows: label of the configuration -> [S]; printed: label -> the paper's value; axis: the metric with its
-    unit; rule: what the scripted policy reaches; width: of the figure [inches]. The algorithms share a
-    scale unless that would squeeze one of them into a fifth of it.
+    rows: label -> [S]; printed: label -> the paper's value; axis: the metric with its unit; rule: what the
+    scripted policy reaches; width: [inches]. The algorithms share a scale unless one would have less than a
+    fifth of it.
     """
     if not any(np.isfinite(values).any() for values in rows.values()):
         return style.nothing(axis)
@@ -83,8 +82,7 @@ def episodes(
     axis: str,
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """What the scripted policy and others reach on test episodes: a row each, the best first, with its
-    number.
+    """What the scripted policy and others reach on test episodes: a row each, the best first.
 
     rows: label -> one number a seed, or an episode, [S], and their mean; looks: label -> a colour and a line;
     rule: what the scripted policy reaches; axis: the metric in words; width: [inches].
@@ -122,8 +120,7 @@ FARTHEST = 2.0
 def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Our effects ÷ the paper's: a row each, in it a mark for each column of evidence, the first one filled.
 
-    table: columns row, column, ratio, low, high, counts; what lies beyond `FARTHEST` is an arrow, and grey
-    does not count; width: of the figure [inches].
+    table: columns row, column, ratio, low, high, counts (else grey); an arrow leads beyond `FARTHEST`.
     """
     title = "Our effect ÷ the paper's"
     if not table["ratio"].notna().any():

@@ -53,8 +53,7 @@ class Contender(NamedTuple):
 
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
-    """Rows of runs, and of scripts that lie beside the first run (`baselines/`), are read. All else is flown
-    now, as the first of the runs was.
+    """Rows of runs, and of scripts in a `baselines/` above the first run, are read; all else flies now.
 
     activation: of a zip's hidden layers.
 
@@ -209,20 +208,14 @@ def of_episodes(values: pd.Series, seeds: pd.Series) -> tuple[stats.Interval, st
 
 
 def ahead(one: Contender, other: Contender) -> tuple[stats.Interval, str]:
-    """How much more reward one earns on the same layouts; the interval as of `of_episodes`.
-
-    The other is taken as it is: the mean of its seeds on each layout.
-    """
+    """How much more reward one earns on the same layouts than the other's mean there; as of `of_episodes`."""
     theirs = other.episodes.groupby("layout")["reward"].mean()
     gaps = (one.episodes["reward"] - one.episodes["layout"].map(theirs)).dropna()
     return of_episodes(gaps, one.episodes["seed"])
 
 
 def pairs(contenders: Sequence[Contender]) -> tables.Rows:
-    """Each pair: how much more reward one earns, and how probably a seed of one beats one of the other.
-
-    A single seed has no such probability.
-    """
+    """Each pair: how much more reward one earns, and how probably its seed beats one of the other."""
     rows = [["", "against", "more reward", "over", "probability of more", "Holm's p"]]
     by_name = {one.name: one for one in contenders}
     for pair in improvement(contenders).to_dict("records"):

@@ -72,8 +72,7 @@ class Configuration:
 def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     """The configurations of all runs in some folders, and one line for each run or table that is of no use.
 
-    Raises:
-        RunError: a folder is missing or holds no run, or no run can be used.
+    Raises a RunError where no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
     apart = [folder.resolve() for folder in of_worlds(folders)]
@@ -118,11 +117,7 @@ def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mappi
 
 
 def read(path: Path) -> Configuration:
-    """The configuration of one run.
-
-    Raises:
-        RunError: it is missing, damaged, not finished, or lacks what a report needs.
-    """
+    """The configuration of one run; raises a RunError where it lacks what a report needs."""
     run = Run(path)
     if "n_envs" not in run.config:
         raise RunError(
@@ -153,10 +148,7 @@ def _protocol(run: Run, rows: pd.DataFrame) -> str:
 
 
 def settings_of(config: Mapping[str, Any], meta: Mapping[str, Any], frames: int) -> dict[str, Any]:
-    """All that a run's episodes depend on, except algorithm, activation and seeds.
-
-    A field of the world is `world.<field>`. A layout file is its checksum, whatever path led to it.
-    """
+    """All that a run's episodes depend on, except algorithm, activation and seeds; layouts are a checksum."""
     own = {"layouts": "train"} | flat(config)
     all_layouts, layouts = meta.get("layouts", {}), str(own.pop("layouts"))
     facts = {
@@ -248,11 +240,7 @@ def episodes_of(configuration: Configuration, definition: str) -> pd.DataFrame:
 
 
 def read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
-    """A row a seed and a column a metric; no rows where there are no episodes, or the log's rhythm is not
-    known.
-
-    It is worked out once, however often it is asked for: leave the table as it is.
-    """
+    """A row a seed and a column a metric, worked out once; no rows without episodes, or an unknown rhythm."""
     if definition not in configuration.known:
         configuration.known[definition] = _read_as(
             configuration, definition, episodes_of(configuration, definition)
@@ -280,10 +268,7 @@ def windowed(configuration: Configuration, windows: Sequence[tuple[float, float]
 
 
 def curve(configuration: Configuration) -> pd.DataFrame:
-    """Reward per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed.
-
-    It is worked out once, as `read_as` is.
-    """
+    """Reward per frame in each of `BINS` stretches of training (index: its middle) and of each seed, once."""
     if CURVE not in configuration.known:
         edges = np.linspace(0, configuration.settings["frames"], BINS + 1)
         seeds = windowed(configuration, [*itertools.pairwise(edges)])

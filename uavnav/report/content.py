@@ -105,11 +105,9 @@ def gather(
 ) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
 
-    fly: what gives the replays of some configurations; found: what `collect` gave, if it was asked; tell: is
-        told each step of the work.
+    fly: gives the replays of some configurations; found: what `collect` gave; tell: is told each step.
 
-    Raises:
-        RunError: a folder is missing or holds no run, or no run can be used.
+    Raises a RunError where no run can be used.
     """
     configurations, left_out = found or collect(folders)
     dealt = studies.sort(configurations)
@@ -207,8 +205,7 @@ def gather(
 
 
 def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, list[str]]:
-    """Measures of episodes by mode and seed, by mode and layout, the episodes, and a line for what could not
-    be read.
+    """Measures of episodes by mode and seed, by mode and layout, the episodes, and lines for what was unread.
 
     Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the
     empty arena: the measures there are `empty_...`, the `layout` is -1.

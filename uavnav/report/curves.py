@@ -35,12 +35,10 @@ def curves(
     looks: Mapping[str, tuple[str, str]] | None = None,
     rule: float = np.nan,
 ) -> style.Drawn:
-    """Learning curves as the paper's figures 4 and 5: a line a configuration, a band, the paper's mean
-    dashed.
+    """Learning curves as the paper's figures 4 and 5: a line and a band each, the paper's mean dashed.
 
-    configurations: by label; printed: the paper's mean by label; width: of the figure
-        [inches]; looks: a colour and a line by label, or else by activation; rule: what the scripted policy
-        earns per frame.
+    configurations: by label; printed: the paper's mean by label; width: [inches]; looks: a colour and a line
+    by label, or else by activation; rule: what the scripted policy earns per frame.
     """
     metric = words("reward", PER_FRAME)
     title = f"{title}{metric} in training"
@@ -114,10 +112,7 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
 
 
 def band(seeds: pd.DataFrame) -> pd.DataFrame:
-    """Mean, low, high and n a bin [B] of values [B, S], by the percentile bootstrap over seeds.
-
-    A bin leaves out the seeds without a value, and has no interval (NaN) from fewer than two.
-    """
+    """Mean, low, high and n a bin [B] of values [B, S], by percentile bootstrap; NaN without two seeds."""
     values = seeds.to_numpy(dtype=np.float64)
     there = np.isfinite(values)
     filled, n = np.where(there, values, 0.0), values.shape[1]
@@ -165,9 +160,8 @@ def survival(
 ) -> style.Drawn:
     """Kaplan and Meier's share of test episodes that last longer, against steps: a line a configuration.
 
-    curves: label -> shares, indexed by steps, as of `stats.survival`; limit: where episodes were cut off
-        [steps];
-    width: of the figure [inches]; looks: a colour and a line by label, or else by activation.
+    curves: label -> shares by steps, as of `stats.survival`; limit: where episodes end [steps]; width:
+    [inches]; looks: a colour and a line by label, or else by activation.
     """
     title = "Test episodes that last longer"
     curves = {name: shares for name, shares in curves.items() if len(shares)}

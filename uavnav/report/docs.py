@@ -1,5 +1,4 @@
-"""docs/results.md, and the blocks of results in the README and docs/algorithms.md, from the report's own
-source.
+"""docs/results.md, and the blocks of results in README.md and docs/algorithms.md, from the report's source.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -56,11 +55,7 @@ def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
 
 
 def between_marks(text: str, new: str, where: str = "README.md", block: str = "results") -> str:
-    """A text with what is between its marks replaced.
-
-    Raises:
-        RunError: it has no marks.
-    """
+    """A text with what is between its marks replaced; raises a RunError where it has no marks."""
     first, last = f"<!-- {block} -->", f"<!-- end of {block} -->"
     before, begin, rest = text.partition(first)
     _, end, after = rest.partition(last)

@@ -11,7 +11,7 @@ from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import COUNTS, OPEN, of_claim
+from uavnav.report.verdicts import OPEN, of_claim
 
 
 class Row(NamedTuple):

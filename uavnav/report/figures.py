@@ -47,11 +47,10 @@ def draw(
     of_worlds: Worlds | None = None,
     width: float = style.WIDTH,
 ) -> list[Figure]:
-    """All figures, in the order of the page.
+    """All figures, in the order of the page; width: of each [inches].
 
     configurations: of the paper's activations in the main study; numbers: the report's tables by name;
-    episodes: steps by study, algorithm and activation; survival: curves by configuration; width: of the
-    figures [inches].
+    episodes: steps by study, algorithm and activation; survival: curves by configuration.
     """
     flown = {key[1:]: table for key, table in episodes.items() if key[0] == "main"}
     found = [

@@ -134,11 +134,7 @@ def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
 
 
 def grades(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """The grade of each claim in each column that has runs for it.
-
-    Columns claim, column, grade, how many parts replicate of those that count, and the least and the most
-    seeds of a part.
-    """
+    """Columns claim, column, grade, replicating, counting (parts), least and most seeds of a part."""
     rows = []
     for column, findings in audits.items():
         for number in dict.fromkeys(one.claim for one in findings):
@@ -167,10 +163,7 @@ def improvement(configurations: Configurations) -> pd.DataFrame:
 
 
 def interactions(values: pd.DataFrame) -> pd.DataFrame:
-    """Whether activations change places between the paper's algorithms (`stats.interaction`).
-
-    A row a metric and definition; values: as `per_seed_values` gives them.
-    """
+    """Whether activations change places between the paper's algorithms (`stats.interaction`)."""
     rows = []
     of_paper = [key in paper.TABLES for key in zip(values["algorithm"], values["activation"], strict=True)]
     known = values[of_paper].dropna()

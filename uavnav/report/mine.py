@@ -75,8 +75,7 @@ def gather(
 ) -> Mine | None:
     """What is said of the runs without a study; None where all of them have one.
 
-    found: finished ones of all kinds; out: where episodes of the scripted policy are kept; tell: is told each
-        step of the work.
+    found: finished ones of all kinds; out: where scripted episodes are kept; tell: as of `report`.
     """
     own = {str(one.runs[0].path): one for one in found if not one.study}
     begun = {str(path): begin(path) for path in unfinished}
@@ -234,10 +233,7 @@ def _group(
 
 
 def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:
-    """The scripted policy's episodes on the layouts of a run: kept ones, or flown now and kept.
-
-    None where it cannot fly in the run's world.
-    """
+    """The scripted policy's episodes on a run's layouts, kept or flown now; None where it cannot."""
     protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
     layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
     name = Protocol(layouts, episodes, limit, None, task).file(SCRIPT)
@@ -315,10 +311,7 @@ def _reward(one: Contender) -> tuple[Interval, str]:
 
 
 def differences(contenders: Sequence[Contender]) -> tables.Rows:
-    """What every run was trained with, and in what it differs from its preset or from its peers.
-
-    Peers are runs of the same algorithm, preset and task.
-    """
+    """What every run was trained with, and how it differs from its preset or from peers of its `KIND`."""
     named = ["algorithm", "activation", "preset", "task", "frames", "n_envs"]
     known = {
         one.name: {"algorithm": one.pilot, "activation": one.configuration.activation}

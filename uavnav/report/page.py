@@ -77,8 +77,7 @@ def contents(
 ) -> dict[str, bytes]:
     """All files of a report, by their paths in its folder.
 
-    first: the report's first folder of runs; own: what stands before the study; watched: the page renews
-    itself.
+    first: the report's first folder; own: what stands before the study; watched: the page renews itself.
     """
     found: dict[str, bytes] = files_of(own) if own else {}
     pictures = {}
@@ -142,8 +141,7 @@ def page(
 ) -> str:
     """The one HTML file: styles, figures, replays and the player's code are in it.
 
-    pictures: by the figure's name, for a page and for a phone; first: the report's first folder, for what a
-    command needs; own: what stands before the study; watched: the page renews itself.
+    pictures: by the figure's name, for a page and for a phone; others: as of `contents`.
     """
     tables_of_paper = [
         (f"Table {paper.TABLE_OF[one]}: {one.upper()}" if one in paper.TABLE_OF else one.upper(), rows)

@@ -1,11 +1,9 @@
-"""Which configurations belong to which part of a report, and what each metric definition of their rows says,
-as one number a seed.
+"""Which configurations belong to which part of a report, and each metric of theirs as one number a seed.
 
-A run's meta.json names its study, and `PLACES` says what each study answers. The study `vectorised` has the
-paper's reward and its million frames. The *main* study answers for the paper: it is the same in one
-environment a seed, as Stable-Baselines3 runs by default, once all the paper's configurations have flown it,
-or else that in many. Runs of no study that the report knows are compared with each other: those of an
-algorithm's most frequent settings.
+A run's meta.json names its study, and `PLACES` says what each study answers. The *main* study answers for
+the paper: in one environment a seed, once all the paper's configurations have flown it, or else in many
+(`vectorised`). Runs of no study that the report knows are compared with each other: those of an algorithm's
+most frequent settings.
 """
 
 from __future__ import annotations
@@ -174,8 +172,7 @@ def further(studies: Studies) -> Configurations:
 class Rows:
     """Each metric of the studies' configurations in one metric definition: an `Evidence`.
 
-    episodes: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: the same with
-    `layout` instead of `seed`.
+    episodes: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: of `layout`.
     """
 
     studies: Studies

@@ -192,11 +192,9 @@ def crossed(
     digits: int | None = 3,
     labels: Mapping[str, str] | None = None,
 ) -> Rows:
-    """A row a value of one column and a column a value of another: numbers with their intervals, and the
-    fewest seeds.
+    """A row a value of one column and a column a value of another: numbers, intervals, and the fewest seeds.
 
-    frame: columns value, low, high and n beside; digits: three of numbers below 1 and one of others if None;
-    labels: words for the columns, in their order.
+    digits: None shows three of numbers below 1 and one of others; labels: words for the columns, in order.
     """
 
     def shown(one: Record) -> str:
@@ -324,8 +322,7 @@ def predictions(frame: pd.DataFrame, definition: str) -> Rows:
 
 
 def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -> Rows:
-    """A header and rows: for each activation the paper's, then every metric definition of each configuration:
-    means, interquartile means.
+    """For each activation the paper's row, then each metric definition's means and interquartile means.
 
     configurations: of one algorithm, with their labels.
     """

@@ -1,8 +1,6 @@
 """A study that tunes each algorithm with the same budget: what it has left, default against tuned.
 
-It is read from its folder, beside the other studies (`uavnav.studies.tuning`): its configurations are in no
-other table.
-Letters: S seeds of a configuration.
+Its configurations are in no other table. Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -29,12 +27,10 @@ Table = pd.DataFrame
 def read(
     of: Sequence[Path], baselines: Mapping[str, Table]
 ) -> tuple[dict[str, Table], Configurations, list[str]]:
-    """The tables of the first study that tuned in some folders, by name, the winners' configurations, and a
-    line for what is of no use.
+    """The tables of the first study that tuned, the winners' configurations, and lines for the unread.
 
-    tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap
-    to the scripted policy; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with
-    the `best` so far; tuning_importance: shares of settings.
+    tuning: default, tuned and their difference, and the gap to the scripted policy; tuning_pairs: differences
+    of two algorithms; tuning_trials: what was tried; tuning_importance: shares of settings.
     """
     found = trials.folders(of)
     if not found:

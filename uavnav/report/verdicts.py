@@ -82,11 +82,7 @@ class Judgement(NamedTuple):
 
 
 def audit(evidence: Evidence, paper: Evidence, claims: Sequence[Claim] = CLAIMS) -> list[Finding]:
-    """Every part of every claim, in order, by the rule.
-
-    evidence: of our runs; paper: of the printed tables by the same metric definition, one number
-        a configuration.
-    """
+    """Every part of every claim, by the rule; evidence: of our runs; paper: of the printed tables."""
     found = []
     for claim in claims:
         samples = [[evidence(*term) for term in part.terms] for part in claim.parts]
@@ -248,11 +244,9 @@ def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) 
 
 
 def _levels(judged: Judgement) -> Array:
-    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next, and so
-    on.
+    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next ...
 
-    The first that fails and all after it are held against the same; a part that does not count against
-    `ALPHA`.
+    The first that fails and all after it have the same level; a part that does not count has `ALPHA`.
     """
     levels = np.full(len(judged.p), ALPHA)
     counting = np.flatnonzero(judged.standings == COUNTS)
@@ -307,8 +301,7 @@ def _finding(
 
 
 def _needed(part: Part, found: Contrasts, effects_: Array, level: float, n: int) -> tuple[float, float]:
-    """Seeds a configuration with which the paper's effects [J] are found, and with which two one-sided tests
-    show absence.
+    """Seeds a configuration that find the paper's effects [J], and that show absence by two one-sided tests.
 
     Both with `POWER`, the second where all configurations are equal; seeds scatter as ours, and none of our
     effects enters. The errors of n seeds a configuration are those of ours times sqrt(n / seeds).

@@ -1,5 +1,4 @@
-"""Why configurations differ: questions to side studies that each change one setting; templates/study.md
-answers them.
+"""Why configurations differ: questions to side studies; templates/study.md answers them.
 
 A question is data: rows to show, and contrasts that answer it. To add one, add it to `QUESTIONS` and its
 configurations to uavnav/studies/why.yaml. Letters: S seeds of a configuration.
@@ -153,8 +152,7 @@ QUESTIONS = (
 def table(evidence: Evidence) -> pd.DataFrame:
     """All that is drawn and said: columns question, row, metric, value, low, high, n.
 
-    A row's interval is of Student's t over its seeds, a contrast's is Welch's. Rows without a seed are left
-    out, and so are questions without a contrast.
+    Rows without a seed are left out, and so are questions without a contrast.
     """
     rows: list[list[object]] = []
 

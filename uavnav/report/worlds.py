@@ -1,6 +1,5 @@
-"""Where which algorithm flies: the study `worlds`, its verdicts on claims 12 to 16, its tables and figures.
+"""Where which algorithm flies: the study `worlds`, apart from those that answer for the paper's tables.
 
-Its runs lie in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables.
 Letters: S seeds of a configuration.
 """
 
@@ -58,12 +57,7 @@ class Worlds(NamedTuple):
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in some folders of a report, and the rows of scripts in its worlds; None where there is
-    none.
-
-    Raises:
-        RunError: a folder cannot be read.
-    """
+    """Read the study in some folders of a report, and the rows of scripts in its worlds; None without one."""
     homes = of_worlds(folders)
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
@@ -150,8 +144,7 @@ def _place(world: str) -> str:
 def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     """Where a run was trained, how scripts fly there, and its table of seeds: of the study's episodes alone.
 
-    Raises:
-        RunError: its world is not known, or it was not flown as in the study.
+    Raises a RunError where its world is not known, or it was not flown as in the study.
     """
     from uavnav.evaluation import Protocol, rows_across  # these know the tasks, and so load torch
     from uavnav.evaluation.scripts import protocol_in
@@ -239,10 +232,9 @@ class Evidence:
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
-        """The rank correlation of a measure with the reward across the configurations of a world, mean over
-        worlds: [S]; without: some algorithms.
+        """A measure's rank correlation with the reward across a world's configurations, mean over all: [S].
 
-        Seeds of the same number are taken together: as if each were a study of its own.
+        Seeds of the same number are taken together, as a study of its own; without: some algorithms.
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
@@ -282,8 +274,7 @@ def summary(found: Worlds) -> pd.DataFrame:
 
 
 def leaders(found: pd.DataFrame) -> pd.DataFrame:
-    """Who is ahead in each world, by reward per episode: columns world, best, value, low, high, script,
-    scripted, ahead and chance. found: of `summary`.
+    """Who is ahead in each world by reward per episode, a row a world; found: of `summary`.
 
     A script is ahead if it is above every policy's interval, a policy if its interval is above every script.
     `chance` has the policies whose interval is not above random flight's.

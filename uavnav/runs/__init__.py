@@ -122,11 +122,7 @@ class Progress(Facts):
 class Run:
     """A finished run, read from its folder.
 
-    Args:
-        path: the run's folder.
-        fresh: true if this call trained the run, false if the run existed before.
-        rows: whether its training episodes are read; a study that is judged by its episodes may leave them
-            out.
+    fresh: true if this call trained it; rows: whether its training episodes are read.
 
     Raises:
         RunError: the folder is missing or is no run's, or the run is not finished or damaged.
@@ -211,8 +207,7 @@ class Run:
 def default_folder(algorithm: str, preset: str, activation: str, changes: Mapping[str, str]) -> Path:
     """runs/<algorithm>-<preset>/<activation>[-<key>=<value> ...], below the current directory.
 
-    changes: what else differs from the preset, as a command line gives it; a hash stands for it where it is
-        long, or no file's name.
+    changes: what else differs from the preset; a hash stands for it where it is long, or no file's name.
     """
     told = "-".join(f"{name}={value.strip('[]')}" for name, value in sorted(changes.items()))
     if not re.fullmatch(rf"[\w.,=+-]{{0,{LONGEST_NAME}}}", told, re.ASCII):
@@ -256,10 +251,7 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
 
 
 def progress(folder: Path) -> dict[str, Any]:
-    """What `progress.json` says; empty where it cannot be read.
-
-    `frames` per seed of `total`, `rate` (0: not known yet), `lately`, and `at`.
-    """
+    """What `progress.json` says, with a `rate` of 0 where it is not known; empty where unreadable."""
     try:
         there = files.facts(Progress, files.read_json(folder / PROGRESS))
     except (OSError, ValueError):

@@ -21,10 +21,8 @@ class Protocol(NamedTuple):
     task: str = "drone"  # of a scripted policy; a run knows its own
 
     def file(self, name: str) -> str:
-        """The file of a policy's rows: `evaluation.parquet`, or such as
-        `evaluation-test-200-10000-noise=5.parquet`.
-
-        Only the usual protocol has no parts, so that no file replaces another's.
+        """The file of a policy's rows: `evaluation.parquet` of the usual protocol, others with their parts,
+        such as `evaluation-test-200-10000-noise=5.parquet`.
         """
         parts = [self.task] * (self.task != "drone") + [self._layouts(), self.episodes, self.max_steps]
         parts += [self.faults] * (self.faults is not None)

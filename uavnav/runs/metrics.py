@@ -1,5 +1,4 @@
-"""The six metrics of sec. 4.3, as means over episodes; `definitions` has all that the paper may have
-averaged.
+"""The six metrics of sec. 4.3, as means over episodes; `definitions` has all that may have been averaged.
 
 A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line
 to `METRICS`. A metric that counts something new also needs a column in `EPISODE_COLUMNS`.

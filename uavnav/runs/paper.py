@@ -32,9 +32,8 @@ ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 def printed(algorithm: str, activation: str, metric: str, per_frame: bool = False) -> float:
     """A number of the tables; NaN where they have none.
 
-    per_frame: as in the metric definition *per frame*: reward / steps, and distance / steps for the speed.
-    Each of the paper's episodes ended in a collision, so that its steps and distance are per collision as
-    they are.
+    per_frame: reward / steps, and distance / steps for the speed. Steps and distance are per collision as
+    they are, as each of the paper's episodes ended in one.
     """
     row = TABLES.get((algorithm, activation), {})
     if per_frame and row:

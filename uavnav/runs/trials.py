@@ -53,11 +53,7 @@ def folders(of: Sequence[Path]) -> list[Path]:
 
 
 def read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
-    """One of the tables; no rows where it is not there yet. Settings are JSON.
-
-    Raises:
-        RunError: it is another table, or damaged.
-    """
+    """One of the tables; no rows where it is not there yet; raises a RunError where it is another one."""
     if not path.exists():
         return pd.DataFrame(columns=list(columns))
     table = read_csv(path, columns, AGAIN)

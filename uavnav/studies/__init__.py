@@ -115,11 +115,7 @@ def names() -> list[str]:
 
 
 def read(name: str) -> Study:
-    """A study of the package by its name, or of a file that ends in .yaml.
-
-    Raises:
-        ConfigError: there is no such study, or its file is not as it should be.
-    """
+    """A study of the package by its name, or of a file that ends in .yaml; raises a ConfigError."""
     if not isinstance(name, str):
         raise ConfigError(f"name={told(name)}: there is no such study; {choose_from(name, names())}")
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
@@ -182,11 +178,7 @@ def _study(name: str, said: Any) -> Study:
 
 
 def only(study: Study, chosen: str | None) -> Study:
-    """The same with the configurations of some algorithms, their names between commas.
-
-    Raises:
-        ConfigError: it has no configuration of one of them.
-    """
+    """The same with the configurations of some algorithms, their names between commas."""
     if chosen is None:
         return study
     wanted = [name.strip() for name in chosen.split(",")]
@@ -219,11 +211,9 @@ def algorithms(configuration: Mapping[str, Any]) -> list[str]:
 def configurations(
     study: Study, out: Path, seeds: int | None = None, frames: int | None = None
 ) -> list[Configuration]:
-    """The configurations of a study below a folder, with other numbers of seeds and frames where they are
-    given.
+    """The configurations of a study below a folder, with other numbers of seeds and frames where given.
 
-    Raises:
-        ConfigError: a setting is wrong, or two configurations share a folder.
+    Raises a ConfigError where a setting is wrong, or two configurations share a folder.
     """
     given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
     found: list[Configuration] = []

@@ -85,8 +85,7 @@ class Plan(NamedTuple):
         return self.configuration(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
 
     def winner(self, algorithm: str, trials: pd.DataFrame) -> Configuration | None:
-        """The best trial's settings, trained as the study's other configurations are; None where no trial has
-        finished.
+        """The best trial's settings, trained as the others; None without a trial that finished.
 
         Its folder has the trial's number, so that another winner after more trials is a run of its own.
         """
@@ -105,12 +104,9 @@ def _short(name: str, value: Any) -> Any:
 def plan(
     study: Study, out: Path, trials: int | None = None, seeds: int | None = None, frames: int | None = None
 ) -> Plan | None:
-    """What a study's file says of tuning, and other numbers where they are given; None where it tunes
-    nothing.
+    """What a study's file says of tuning, and other numbers where given; None where it tunes nothing.
 
-    Raises:
-        ConfigError: a key, a range or a setting is not right, a default is outside its range, or trials
-            share seeds with the configurations that are compared in the end.
+    Raises a ConfigError, also where trials share seeds with the configurations that are compared in the end.
     """
     if (said := study.tune) is None:
         return None

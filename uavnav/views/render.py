@@ -124,11 +124,7 @@ def load_pilots(
 
 
 def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tensor:
-    """A layout file [n, k, 3] px of the pilots' world, in which there is a layout of that index.
-
-    Raises:
-        ValueError: there is no such layout file, or it has no such set.
-    """
+    """A layout file [n, k, 3] px of the pilots' world, in which there is a layout of that index."""
     all_layouts = splits.load(layouts, pilots[0].task.world if pilots else None)
     if not 0 <= layout < len(all_layouts):
         raise ValueError(f"--layout {layout}: choose from 0 to {len(all_layouts) - 1}")
@@ -138,8 +134,7 @@ def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tens
 def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:
     """One episode of a policy on one layout: the very episode that an evaluation of 200 layouts counts.
 
-    An evaluation flies its layouts as one batch, in which sampled actions of one episode follow others; so
-    does this.
+    Sampled actions of one episode follow others, as an evaluation flies its layouts as one batch.
     """
     task = pilot.task.on(layouts[: max(EPISODES, layout + 1)], max_steps)
     states = [at(episodes.start(task, [pilot.seed]), layout)]
@@ -156,9 +151,8 @@ def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:
 class Film(Sequence[Picture]):
     """Episodes on the same layout, side by side, with their trails: drawn when they are asked for.
 
-    obstacles: a layout of the split, such as [K, 3] px; width: of one episode's picture [px]; every: steps
-    from one picture to the next. The last picture is that of the last step of the longest episode; an episode
-    that is over stands still.
+    obstacles: a layout, such as [K, 3] px; width: of one episode's picture [px]; every: steps between
+    two. The last one is of the longest episode. An episode that is over stands still.
     """
 
     def __init__(self, episodes: Sequence[Episode], obstacles: Tensor, width: int, every: int = 1) -> None:
@@ -244,12 +238,7 @@ def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour)
 
 
 def check_picture(path: Path, rate: Fraction) -> str:
-    """The kind of a file by its name, if pictures can be written there, so many per second.
-
-    Raises:
-        ValueError: it is none of the three, its folder is missing, PyAV is, or a film would be too fast or
-            too slow.
-    """
+    """The kind of a file by its name; a ValueError where it takes no pictures at that rate."""
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
         raise ValueError(f"{path}{did_you_mean(kind, SUFFIXES)}: choose an .mp4, .gif or .png file")
@@ -271,11 +260,8 @@ def check_picture(path: Path, rate: Fraction) -> str:
 def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PER_SECOND) -> None:
     """Write pictures as MP4 or GIF, or the last one as PNG; the file is whole or not there.
 
-    fps: pictures per second. MP4 needs an even width and height: an odd one gains a column or a row of its
-        edge.
-
-    Raises:
-        ValueError: the file is none of these, too fast or too slow (`check_picture`), or cannot be written.
+    fps: pictures per second. An MP4's odd width or height gains a column or a row of its edge. Raises a
+    ValueError as `check_picture` does.
     """
     rate = Fraction(fps).limit_denominator(1000)
     kind = check_picture(path, rate)

@@ -100,22 +100,15 @@ Columns = dict[str, Tensor]
 def record(
     configurations: Sequence[Trained], n_seeds: int = 3, n_layouts: int = 3, max_steps: int = 1000
 ) -> dict[str, Any]:
-    """Fly the first seeds of each configuration, as in training, on the first layouts of their own test
-    split.
+    """Fly the first seeds of each configuration, as in training, on the first layouts of their test split.
 
-    Args:
-        configurations: whose policies fly; those of one world and reward as one batch.
-        n_seeds: seeds a configuration, the lowest that can be loaded.
-        n_layouts: layouts.
-        max_steps: an episode that lasts so long is cut off.
+    n_seeds: of a configuration, the lowest that can be loaded; max_steps: longer episodes are cut off.
 
     Returns:
-        What the player reads, as JSON can hold it: `world` (its constants), `layouts` (of [x, y, radius]
-        px; None for those that are not shown), `actions` ([degrees, px] of each), `fields` (`FIELDS` in the
-        order of the bytes, and the columns of each), `configurations` (algorithm, label, mode, what its
-        values are, and `episodes` with seed, layout, steps, reward, how it ended, and the bytes; elsewhere
-        than in the paper's world also `_place`), `rule` (episodes of the scripted policy), and `left_out`: a
-        line for each policy that cannot fly.
+        What the player reads, as JSON can hold it: `world` (its constants), `layouts` (of [x, y, radius] px;
+        None for those that are not shown), `actions` ([degrees, px] of each), `fields` (of the bytes),
+        `configurations` (with their `episodes`; elsewhere than in the paper's world also `_place`), `rule`
+        (episodes of the scripted policy), and `left_out`: a line for each policy that cannot fly.
 
     Raises:
         ValueError: a count is below 1, or the split has fewer layouts.
@@ -199,12 +192,10 @@ def _told(fields: Mapping[str, Field]) -> list[dict[str, Any]]:
 
 
 def together(recorded: dict[str, Any], configurations: Mapping[str, str], rule: str) -> dict[str, Any]:
-    """What a page needs to show the first seed of some configurations and the scripted policy on the same
-    obstacles.
+    """What a page needs to show first seeds of configurations and the scripted policy on the same obstacles.
 
-    recorded: as `record` gives it; configurations: names to show by the configuration's label, such as `PPO
-    tanh`; rule: the rule's name. The episodes are without what belongs to a choice. They begin where the
-    configurations' episodes are shortest.
+    recorded: as `record` gives it; configurations: names by the configuration's label, such as `PPO tanh`;
+    rule: the rule's name. Episodes are without choices, and begin where the configurations' are shortest.
     """
     # in the paper's world
     there = [configuration for configuration in recorded["configurations"] if "place" not in configuration]
@@ -281,8 +272,7 @@ def _layouts(task: WrappedTask, sets: str = "test") -> Tensor:
 
 
 def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any]:
-    """Where episodes were flown, if not in the paper's world as it is: `place`, what the player draws and
-    calls it.
+    """Where episodes were flown, if not in the paper's world as it is: `place`, what the player draws.
 
     sets: the split, which may be a rung's such as `slalom-80/test`.
     """
@@ -330,10 +320,9 @@ class Episode(NamedTuple):
 
 
 def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[Episode]]:
-    """The shown episodes of each trained policy, on layouts [L, K, 3] px: those that an evaluation counts.
+    """The shown episodes of each policy, on layouts [L, K, 3] px or as many of its own world's.
 
-    All layouts of the split are flown, as an evaluation flies them: sampled actions of one episode follow
-    others. In another world, policies fly as many layouts of its own test split.
+    All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others.
     """
     found: list[list[Episode]] = [[] for _ in flyers]
     policies = [flyer.policy for flyer in flyers if isinstance(flyer.policy, Policy)]

@@ -80,8 +80,7 @@ def described(
 
 
 class Probe:
-    """A folder of a new name in the folder of a study: a machine that sees it copies a file in it, under its
-    own name.
+    """A new folder in that of a study: a machine that sees it copies a file in it, under its own name.
 
     So a folder of the same path on the machine's own disk, or one that it may not write to, does not pass.
     """

@@ -108,11 +108,7 @@ def usual() -> list[str]:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """The runs in and below a folder that have policies, the newest `MOST`.
-
-    Raises:
-        RunError: it holds no run.
-    """
+    """The runs in and below a folder that have policies, the newest `MOST`; raises a RunError without any."""
     found = [path for path in run_folders(folder)[0] if (path / POLICY).exists()]
     newest = sorted(found, key=lambda path: (path / POLICY).stat().st_mtime, reverse=True)[:MOST]
     return [path for path in found if path in newest]

@@ -15,7 +15,7 @@ from PIL import Image
 
 from uavnav import stats, style
 from uavnav.colours import OTHERS, PILOTS
-from uavnav.report import arena, charts, curves, figures
+from uavnav.report import arena, charts, figures
 from uavnav.report.configurations import BINS
 from uavnav.runs import paper
 from uavnav.runs.definitions import SAMPLED
@@ -53,7 +53,7 @@ def trained(*seeds, algorithm="ppo", activation="tanh"):
 
 def drawn(configurations, title=""):
     """Learning curves of configurations by label, with the paper's mean of PPO with tanh."""
-    return curves.curves(configurations, {"tanh": 88.527 / 2727.577}, title)
+    return charts.curves(configurations, {"tanh": 88.527 / 2727.577}, title)
 
 
 def heights(band):
@@ -80,7 +80,7 @@ PATHS = own_episodes([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0
 EXAMPLES = {
     "curves": lambda: drawn({"tanh": trained([1.0, 2.0], [3.0, 4.0])}),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([1.0, 2.0])}, {"PPO tanh": 3.0}, "reward"),
-    "survival": lambda: curves.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
+    "survival": lambda: charts.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS}, LAYOUTS, [0, 1], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.full((3, 4), 1 / 12)}, WORLD),
 }
@@ -88,7 +88,7 @@ NOTHING = {
     "curves": lambda: drawn({}),
     "curves of no episode": lambda: drawn({"tanh": trained([])}),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([np.nan])}, {}, "reward"),
-    "survival": lambda: curves.survival({}, 10),
+    "survival": lambda: charts.survival({}, 10),
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS[:0]}, LAYOUTS, [0], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.zeros((3, 4))}, WORLD),
 }
@@ -204,7 +204,7 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
 
 def test_a_band_of_20_seeds_holds_the_quantiles_of_resampled_means():
     seeds = np.random.default_rng(1).normal(size=(3, 20))
-    band = curves.band(pd.DataFrame(seeds))
+    band = charts.band(pd.DataFrame(seeds))
     assert np.allclose(band["mean"], seeds.mean(1))
     width = 1.96 * seeds.std(1) / np.sqrt(20)
     assert np.allclose(band["low"], seeds.mean(1) - width, atol=0.06)
@@ -212,7 +212,7 @@ def test_a_band_of_20_seeds_holds_the_quantiles_of_resampled_means():
 
 
 def test_a_seed_without_a_value_counts_for_none_in_its_bin():
-    band = curves.band(pd.DataFrame([[1.0, np.nan, 5.0], [2.0, np.nan, np.inf], [np.nan] * 3]))
+    band = charts.band(pd.DataFrame([[1.0, np.nan, 5.0], [2.0, np.nan, np.inf], [np.nan] * 3]))
     assert band.iloc[0].tolist() == [3.0, 1.0, 5.0, 2]
     assert band.iloc[1, 0] == 2.0
     assert band["n"].tolist() == [2, 1, 0]
@@ -276,7 +276,7 @@ def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
 
 def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
     shares = stats.survival(np.array([10.0, 20.0, 100.0, 100.0]), np.array([True, True, False, False]))
-    drawn = curves.survival({"PPO tanh (n = 1)": shares}, limit=100)
+    drawn = charts.survival({"PPO tanh (n = 1)": shares}, limit=100)
     (axes,) = drawn.figure.axes
     line, limit = axes.lines
     assert line.get_xdata().tolist() == [0, 10, 20, 100]
@@ -290,7 +290,7 @@ def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
 
 def test_episodes_that_all_stay_up_have_a_flat_line():
     shares = stats.survival(np.array([50.0, 50.0]), np.array([False, False]))
-    drawn = curves.survival({"PPO tanh": shares}, limit=50)
+    drawn = charts.survival({"PPO tanh": shares}, limit=50)
     assert set(drawn.figure.axes[0].lines[0].get_ydata()) == {1.0}
     assert "half of them never, 100 % up at 50" in drawn.alt
     style.save(drawn.figure)
@@ -333,7 +333,7 @@ def test_heat_maps_share_a_scale_up_to_the_largest_share_and_lie_the_right_way_u
 
 def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apart():
     means = {one: paper.printed("dqn", one, "reward", per_frame=True) for one in paper.ACTIVATIONS}
-    (axes,) = curves.curves({one: trained([0.0], [1.0]) for one in means}, means).figure.axes
+    (axes,) = charts.curves({one: trained([0.0], [1.0]) for one in means}, means).figure.axes
     named = {text.get_text(): text.xyann for text in axes.texts}
     assert set(named) == {"tanh -0.0438", "sigmoid -0.0268", "relu -0.037", "leaky_relu -0.0353"}
     heights = sorted(place for _, place in named.values())
@@ -368,7 +368,7 @@ def test_the_rule_is_a_dashed_line_beside_configurations_and_where_there_is_none
     assert style.RULE in texts(drawn.figure)
     assert style.RULE not in texts(charts.intervals(rows, {}, "reward").figure)
     up = pd.Series([1.0, 1.0], index=[0.0, 100.0])
-    (axes,) = curves.survival(
+    (axes,) = charts.survival(
         {"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.RULE: up}, 100
     ).figure.axes
     mine, rule, _ = axes.lines

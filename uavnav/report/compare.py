@@ -17,7 +17,7 @@ from rich.table import Table
 
 from uavnav import stats, style
 from uavnav.errors import did_you_mean
-from uavnav.report import configurations, curves, tables
+from uavnav.report import charts, configurations, tables
 from uavnav.report.configurations import Configuration, curve
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
@@ -295,7 +295,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         console.print(told)
     for one in contenders:
         if one.configuration is not None:
-            line = curves.band(curve(one.configuration))["mean"]
+            line = charts.band(curve(one.configuration))["mean"]
             ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
             console.print(
                 f"{one.name}: reward per frame in training {sparkline(line.fillna(0.0).tolist())} {ends}"
@@ -315,10 +315,10 @@ def page(contenders: Sequence[Contender]) -> bytes:
     ]
     recorded = replays.record(shown, n_seeds=1)
     kept = survival(contenders), contenders[0].protocol["max_steps"]
-    figures = {"survival": [curves.survival(*kept, width, looks) for width in WIDTHS]}
+    figures = {"survival": [charts.survival(*kept, width, looks) for width in WIDTHS]}
     if learned:
         figures["curves"] = [
-            curves.curves(learned, {}, width=width, looks={name: looks[name] for name in learned})
+            charts.curves(learned, {}, width=width, looks={name: looks[name] for name in learned})
             for width in WIDTHS
         ]
     page = templating.page(

@@ -10,7 +10,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, worlds
+from uavnav.report import arena, behaviour, charts, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
 from uavnav.report.frames import LIMIT, RULE, least_to_most, name
@@ -109,7 +109,7 @@ def _curves(configurations: Configurations, width: float) -> list[Figure]:
             f"{dashed}."
         )
         known = {name: mean for name, mean in printed.items() if np.isfinite(mean)}
-        drawn = curves.curves(mine, known, f"{algorithm.upper()}: ", width)
+        drawn = charts.curves(mine, known, f"{algorithm.upper()}: ", width)
         found.append(Figure(f"curves-{algorithm}-reward", "curves", drawn, caption))
     return found
 
@@ -194,4 +194,4 @@ def _survival(
         "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and"
         " is no collision. Sampled."
     )
-    return Figure("survival", "statistics", curves.survival(episodes, LIMIT, width), caption)
+    return Figure("survival", "statistics", charts.survival(episodes, LIMIT, width), caption)

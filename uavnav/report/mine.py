@@ -13,7 +13,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.errors import OneLineError
-from uavnav.report import charts, compare, curves, tables, templating
+from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead, of_episodes
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.verdicts import SEEDS
@@ -216,7 +216,7 @@ def _group(
         figures.append((f"ranking-{place + 1}", draw(), draw(width=style.NARROW), words))
     if any(len(one.episodes) for one in learned.values()):
         mine = {name: looks[name] for name in learned}
-        draw = functools.partial(curves.curves, learned, {}, looks=mine, rule=earned)
+        draw = functools.partial(charts.curves, learned, {}, looks=mine, rule=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from uavnav import style
-from uavnav.report.configurations import read
 from uavnav.report.charts import curves
+from uavnav.report.configurations import read
 from uavnav.runs import paper
 
 DOCS = Path(__file__).parent

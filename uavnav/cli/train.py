@@ -96,7 +96,8 @@ def main(given: Namespace, fit: Fit = alone) -> int:
             return 0
         orders = [_order(kind, settings) for settings in _sweep(given.settings, given.multirun)]
         if given.cfg:
-            print("---\n".join(yaml.safe_dump(_settings(one), sort_keys=False) for one in orders), end="")
+            said = (plain(one.config) | one.command.model_dump() for one in orders)
+            print("---\n".join(yaml.safe_dump(one, sort_keys=False) for one in said), end="")
             return 0
         _check(orders)
         finished = []
@@ -206,11 +207,6 @@ def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
     if command.out is None:
         return Order(config, free_folder(config), command)
     return Order(config, Path(_filled(command.out, flat(plain(config) | command.model_dump()))), command)
-
-
-def _settings(order: Order) -> dict[str, Any]:
-    """All that a run is set to."""
-    return plain(order.config) | order.command.model_dump()
 
 
 def _filled(out: str, settings: dict[str, Any]) -> str:

@@ -51,6 +51,11 @@ class Contender(NamedTuple):
     configuration: Configuration | None  # a run's training; None for what was not trained here
     pilot: str = ""  # an algorithm's or a scripted policy's name, for its colour
 
+    @property
+    def reward(self) -> tuple[stats.Interval, str]:
+        """Of a test episode, and what the interval is over."""
+        return of_episodes(self.episodes["reward"], self.episodes["seed"])
+
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
     """Rows of runs, and of scripts in a `baselines/` above the first run, are read; all else flies now.

@@ -105,15 +105,12 @@ def of_worlds(folders: Sequence[Path]) -> list[Path]:
 def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
     """Without the runs of a study that tunes; if it is all there is, its defaults."""
     tuned = [folder.resolve() for folder in trials.folders(folders)]
-    beside = {
-        key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)
-    }
-    defaults = {
-        key: path
-        for key, path in paths.items()
-        if any(key.is_relative_to(folder / "default") for folder in tuned)
-    }
-    return beside or defaults or paths
+
+    def below(key: Path, *parts: str) -> bool:
+        return any(key.is_relative_to(folder.joinpath(*parts)) for folder in tuned)
+
+    beside = {key: path for key, path in paths.items() if not below(key)}
+    return beside or {key: path for key, path in paths.items() if below(key, "default")} or paths
 
 
 def read(path: Path) -> Configuration:

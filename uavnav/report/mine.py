@@ -14,7 +14,7 @@ import pandas as pd
 from uavnav import style
 from uavnav.errors import OneLineError
 from uavnav.report import charts, compare, tables, templating
-from uavnav.report.compare import Contender, ahead, of_episodes
+from uavnav.report.compare import Contender, ahead
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
@@ -195,17 +195,17 @@ def _group(
     place: int,
 ) -> Group:
     """The ranking and the figures of runs in one world; place: of the group, for the names of its files."""
-    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -_reward(one)[0].value)
+    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -one.reward[0].value)
     ordered = [*flown, *(one for one in members if not len(one.episodes))]
     rows = {}
     for one in flown:
         rewards = one.episodes["reward"]
         seeds = rewards.groupby(one.episodes["seed"]).mean()
         dots = seeds if len(seeds) > 1 else rewards  # a number a seed, or an episode of a single seed
-        rows[one.name] = dots.to_numpy(np.float64), _reward(one)[0]
+        rows[one.name] = dots.to_numpy(np.float64), one.reward[0]
     rule = earned = np.nan
     if scripted is not None:
-        rule, sums = _reward(scripted)[0].value, scripted.episodes[["reward", "steps"]].sum()
+        rule, sums = scripted.reward[0].value, scripted.episodes[["reward", "steps"]].sum()
         earned = sums["reward"] / sums["steps"]
     learned = {one.name: one.configuration for one in members if one.configuration is not None}
     task = str(members[0].place["task"])
@@ -271,12 +271,12 @@ def _ranking(
 ) -> tables.Rows:
     """A row a run and one for the scripted policy, the best first; those without test episodes last."""
     shown = [one for one in (*ordered, scripted) if one is not None and len(one.episodes)]
-    shown.sort(key=lambda one: -_reward(one)[0].value)
+    shown.sort(key=lambda one: -one.reward[0].value)
     own = {one.name: measures(one.episodes).mean() for one in shown}
     column = next((name for name in SHOWN if any(name in one for one in own.values())), "survive")
     rows = [["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "training"]]
     for one in shown:
-        mean, over = _reward(one)
+        mean, over = one.reward
         numbers = _number(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
         if one is scripted:
             rows.append([f"scripted policy, `{SCRIPT}`", *numbers, tables.NOTHING, "none"])
@@ -298,16 +298,12 @@ def _best(first: Group, paths: Mapping[str, Path]) -> str:
         return "No run has finished yet."
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
-    mean, over = _reward(best)
+    mean, over = best.reward
     said = f"Of your runs, **{best.name}** earns most: {_number(mean)} of reward an episode"
     said += f" (95 % interval over {over})."
     if first.scripted is not None:
-        said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
+        said += f" The scripted policy earns {_number(first.scripted.reward[0])}."
     return f"{said} {compare.caution([one for one in first.contenders if len(one.episodes)])}".strip()
-
-
-def _reward(one: Contender) -> tuple[Interval, str]:
-    return of_episodes(one.episodes["reward"], one.episodes["seed"])
 
 
 def differences(contenders: Sequence[Contender]) -> tables.Rows:

@@ -134,47 +134,35 @@ def read(name: str) -> Study:
 
 
 def _study(name: str, said: Any) -> Study:
-    if (
-        not isinstance(said, dict)
-        or not isinstance(said.get("configurations"), list)
-        or not said["configurations"]
-    ):
+    entries = said.get("configurations") if isinstance(said, dict) else None
+    if not isinstance(entries, list) or not entries:
         raise ConfigError("is no study; give a list of `configurations`, as uavnav/studies/paper.yaml does")
     for key in said:
         if key not in KEYS:
             raise unknown_key(str(key), KEYS)
     obstacles = said.get("obstacles", [])
-    if not isinstance(obstacles, list) or not all(
-        type(k) is int and 0 <= k <= MOST_OBSTACLES for k in obstacles
-    ):
+    known = isinstance(obstacles, list) and all(type(k) is int for k in obstacles)
+    if not known or not all(0 <= k <= MOST_OBSTACLES for k in obstacles):
         raise ConfigError(f"obstacles={obstacles}; give a list of numbers of obstacles, such as [4, 12]")
-    for configuration in said["configurations"]:
-        if not isinstance(configuration, dict) or "algorithm" not in configuration:
-            raise ConfigError(f"{configuration}: is no configuration; it needs at least an `algorithm`")
-        if not algorithms(configuration) or not all(
-            isinstance(name, str) for name in algorithms(configuration)
-        ):
-            raise ConfigError(f"algorithm={configuration['algorithm']}; give a name, or a list of some")
-    settings = said.get("settings", {})
-    for part in (settings, *said["configurations"]):
+    for entry in entries:
+        if not isinstance(entry, dict) or "algorithm" not in entry:
+            raise ConfigError(f"{entry}: is no configuration; it needs at least an `algorithm`")
+        named = algorithms(entry)
+        if not named or not all(isinstance(one, str) for one in named):
+            raise ConfigError(f"algorithm={entry['algorithm']}; give a name, or a list of some")
+    settings, tune, scripts = said.get("settings", {}), said.get("tune"), said.get("scripts")
+    for part in (settings, *entries):
         check_settings("settings", part)
         for algorithm in ALGORITHMS:
             check_settings(algorithm, part.get(algorithm, {}))
-    tune = said.get("tune")
     if tune is not None and not isinstance(tune, dict):
         raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
-    scripts = said.get("scripts")
-    if scripts is not None and not (isinstance(scripts, str) and _is_folder(scripts) and _is_within(scripts)):
-        raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
-    return Study(
-        name,
-        one_line(said.get("what", name)),
-        [*dict.fromkeys(obstacles)],
-        settings,
-        said["configurations"],
-        tune,
-        scripts,
-    )
+    if scripts is not None:
+        below = isinstance(scripts, str) and not os.path.isabs(scripts) and ".." not in Path(scripts).parts
+        if not below or not _is_folder(scripts):
+            raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
+    what = one_line(said.get("what", name))
+    return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, scripts)
 
 
 def only(study: Study, chosen: str | None) -> Study:
@@ -201,11 +189,8 @@ def check_settings(name: str, said: Any) -> None:
 
 def algorithms(configuration: Mapping[str, Any]) -> list[str]:
     """Those of an entry of `configurations`."""
-    return (
-        configuration["algorithm"]
-        if isinstance(configuration["algorithm"], list)
-        else [configuration["algorithm"]]
-    )
+    named = configuration["algorithm"]
+    return named if isinstance(named, list) else [named]
 
 
 def configurations(
@@ -222,12 +207,8 @@ def configurations(
         for algorithm in algorithms(configuration):
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
-            several = (
-                _of(algorithm, study.settings)
-                | _of(algorithm, configuration)
-                | {"algorithm": algorithm}
-                | given
-            )
+            own = _of(algorithm, study.settings) | _of(algorithm, configuration)
+            several = own | {"algorithm": algorithm} | given
             left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
             if left < 0:
                 raise ConfigError(
@@ -324,11 +305,6 @@ def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
             f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}"
         ) from error
     return filled
-
-
-def _is_within(name: str) -> bool:
-    """Whether a name leads to a folder below the one it is read in."""
-    return not os.path.isabs(name) and ".." not in Path(name).parts
 
 
 def _is_folder(name: str) -> bool:

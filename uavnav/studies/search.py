@@ -64,7 +64,10 @@ class Plan(NamedTuple):
     def defaults(self, algorithm: str) -> Settings:
         """What the searched settings are in the preset `vectorised`."""
         usual = ALGORITHMS[algorithm].presets["vectorised"]
-        return {name: _short(name, getattr(usual, name, None)) for name in self.said["space"][algorithm]}
+        found: Settings = {name: getattr(usual, name, None) for name in self.said["space"][algorithm]}
+        if found.get("hidden"):  # all layers have the same width
+            found["hidden"] = found["hidden"][0]
+        return found
 
     def configuration(
         self, algorithm: str, settings: Mapping[str, Any], folder: str, usual: Mapping[str, Any]
@@ -94,11 +97,6 @@ class Plan(NamedTuple):
         return self.configuration(
             algorithm, json.loads(found["settings"]), winner(found["trial"]), self.study.settings
         )
-
-
-def _short(name: str, value: Any) -> Any:
-    """The width of hidden layers that all have the same, as one number."""
-    return value[0] if name == "hidden" and value else value
 
 
 def plan(

@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -158,7 +158,11 @@ class Film(Sequence[Picture]):
     def __init__(self, episodes: Sequence[Episode], obstacles: Tensor, width: int, every: int = 1) -> None:
         self.episodes, self.obstacles, self.width = episodes, obstacles, width
         self.colours = [rgb(one) for one in colours(episode.pilot.kind for episode in episodes)]
-        self._trails = [[_place(state) for state in episode.states] for episode in episodes]
+        axes = [axis for axis in "xyz" if hasattr(episodes[0].states[0], axis)]
+        self._trails = [
+            [tuple(float(getattr(state, axis)) for axis in axes) for state in episode.states]
+            for episode in episodes
+        ]
         self._panel = functools.lru_cache(len(episodes))(self._draw)  # what stands still is drawn once
         last = max(len(episode.states) for episode in episodes) - 1
         self.steps = [*range(0, last, every), last]
@@ -166,15 +170,7 @@ class Film(Sequence[Picture]):
     def __len__(self) -> int:
         return len(self.steps)
 
-    @overload
-    def __getitem__(self, index: int) -> Picture: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Picture]: ...
-
-    def __getitem__(self, index: int | slice) -> Picture | Sequence[Picture]:
-        if isinstance(index, slice):
-            return [self[one] for one in range(*index.indices(len(self)))]
+    def __getitem__(self, index: int) -> Picture:  # type: ignore[override] # nobody slices a film
         step = self.steps[index]
         panels = [
             self._panel(number, min(step, len(episode.states) - 1))
@@ -201,11 +197,6 @@ class Film(Sequence[Picture]):
         panel.paste(arena, (0, 0))
         panel.paste(strip, (0, arena.height))
         return panel
-
-
-def _place(state: State) -> tuple[float, ...]:
-    """x and y [px], in a box also z."""
-    return tuple(float(getattr(state, axis)) for axis in "xyz" if hasattr(state, axis))
 
 
 def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour) -> Image.Image:

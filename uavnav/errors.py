@@ -61,11 +61,7 @@ def told(value: object, most: int = WORD * 2) -> str:
     """A value as a message shows it: short and in one line, however large, deep or odd it is."""
     try:
         return one_line(value, most)
-    except (
-        ValueError,
-        RecursionError,
-        RuntimeError,
-    ):
+    except (ValueError, RecursionError, RuntimeError):
         # a number of many digits, nested lists, a damaged tensor
         return f"a {type(value).__name__}"
 

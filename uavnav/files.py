@@ -125,13 +125,7 @@ def parsed_yaml(text: str | bytes, loader: type[yaml.SafeLoader] = Loader) -> An
         return yaml.load(text, loader)  # a safe loader
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
-    except (
-        yaml.YAMLError,
-        TypeError,
-        AttributeError,
-        KeyError,
-        OverflowError,
-    ) as error:
+    except (yaml.YAMLError, TypeError, AttributeError, KeyError, OverflowError) as error:
         # the latter of odd keys, dates
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 

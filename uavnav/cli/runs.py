@@ -22,15 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from uavnav.errors import complain
-from uavnav.runs import (
-    FINISHED,
-    heard,
-    progress,
-    read_settings,
-    run_folders,
-    saved_frames,
-    shipped,
-)
+from uavnav.runs import FINISHED, heard, progress, read_settings, run_folders, saved_frames, shipped
 from uavnav.runs.evaluations import usual
 from uavnav.runs.lately import Lately, line, span
 from uavnav.runs.metrics import MODES
@@ -107,11 +99,7 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
             column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()
         }
         return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
-    except (
-        OSError,
-        ValueError,
-        NotImplementedError,
-    ):
+    except (OSError, ValueError, NotImplementedError):
         # there is none, or it is damaged, or its rewards are words
         return dict.fromkeys(MEANS)
 

@@ -278,11 +278,7 @@ def evaluate_run(
         rows, behaviour = fly_modes(own, task, tell, measure_of(layouts))
         beside = _beside(run, own) if usual else {}
         # rows last: who finds them has the others too
-        return {
-            **beside,
-            behaviour_file: behaviour,
-            rows_file: rows,
-        }
+        return {**beside, behaviour_file: behaviour, rows_file: rows}
 
     here, there = run.seeds, []
     n = episodes * len(modes)

@@ -167,10 +167,7 @@ def gather(
         if dealt.tuned:
             numbers["fast"] = frames.gaps(dealt.tuned, baselines)
         if len(carried):
-            numbers |= {
-                "carried": carried,
-                "further": frames.gaps(studies.further(dealt), baselines),
-            }
+            numbers |= {"carried": carried, "further": frames.gaps(studies.further(dealt), baselines)}
         if of_worlds := worlds.gather(folders):
             elsewhere = worlds.Evidence(of_worlds.seeds)
             for column in (FINAL, OTHER):

@@ -23,17 +23,7 @@ from torch import Tensor
 from uavnav import files
 from uavnav.colours import OTHERS, PILOTS, colours, rgb
 from uavnav.envs import drawing
-from uavnav.envs.drawing import (
-    BORDER,
-    GROUND,
-    INK,
-    OBSTACLE,
-    SENSED,
-    STEPS_PER_SECOND,
-    Colour,
-    Picture,
-    font,
-)
+from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.errors import did_you_mean
 from uavnav.evaluation import episodes
 from uavnav.runs import policies

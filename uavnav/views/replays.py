@@ -292,10 +292,7 @@ def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any
     if isinstance(task.world, SpaceWorld):
         parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
         # yaw, pitch [degrees], px
-        constants |= {
-            "fields": _told(IN_3D),
-            "actions": torch.stack(parts, -1).tolist(),
-        }
+        constants |= {"fields": _told(IN_3D), "actions": torch.stack(parts, -1).tolist()}
     return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
 
 

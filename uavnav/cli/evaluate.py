@@ -11,7 +11,7 @@ from pathlib import Path
 
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
-from uavnav.evaluation.across import Flyer, across, of_run
+from uavnav.evaluation.across import Flyer, across, of_policy, of_run
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies, shipped
@@ -29,14 +29,8 @@ MOST_SEEDS = 1_000
 
 def _found(name: str, arguments: Namespace) -> Run | Flyer:
     """A run, a zip, a policy that ships or a scripted policy."""
-    if name in BASELINES:
-        seeds = range(arguments.seeds if name == DRAWS else 1)
-        return Flyer(name, {"scripted": dict.fromkeys(seeds, BASELINES[name])})
-    if policies.is_zip(name):
-        zipped = policies.load_policy(name, activation=arguments.activation)
-        return Flyer(name, policies.by_mode({0: zipped}))
-    if shipped.is_shipped(name):
-        return Flyer(name, policies.by_mode(policies.load_policies(name)))
+    if name in BASELINES or policies.is_zip(name) or shipped.is_shipped(name):
+        return of_policy(name, arguments.activation, arguments.seeds if name == DRAWS else 1)
     try:
         return Run(name)
     except RunError as error:

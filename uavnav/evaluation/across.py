@@ -23,7 +23,7 @@ from uavnav.evaluation import check_bounds, fly_modes, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics
 from uavnav.runs.lately import span
-from uavnav.runs.policies import Policy, by_mode, load_policies
+from uavnav.runs.policies import Policy, by_mode, is_zip, load_policies, load_policy
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure
@@ -58,6 +58,10 @@ class Flyer(NamedTuple):
         """Its algorithm, or the name of a script: by this it has its colour."""
         return self._first.algorithm if isinstance(self._first, Policy) else self.name
 
+    def as_trained(self) -> Flyer:
+        """The same without its greedy policies."""
+        return self._replace(modes={mode: own for mode, own in self.modes.items() if mode != "greedy"})
+
     def fly(self, task: WrappedTask, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
         """A row an episode in a task, with its mode; where: the task's name for a bar."""
         modes = {
@@ -70,6 +74,15 @@ class Flyer(NamedTuple):
             display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell,
         ):
             return fly_modes(modes, task, tell, measure).episodes
+
+
+def of_policy(name: str, activation: str | None = None, seeds: int = 1) -> Flyer:
+    """A scripted policy with some seeds, a zip, a policy file, or a policy that ships."""
+    if name in BASELINES:
+        return Flyer(name, {"scripted": dict.fromkeys(range(seeds), BASELINES[name])})
+    if is_zip(name):
+        return Flyer(name, by_mode({0: load_policy(name, activation=activation)}))
+    return Flyer(name, by_mode(load_policies(name)))
 
 
 def of_run(name: str, run: Run) -> Flyer:
@@ -231,8 +244,7 @@ def across(
         ValueError: a count below 1, or more layouts than a layout file has.
     """
     if alone:
-        acting = [{mode: own for mode, own in one.modes.items() if mode != "greedy"} for one in flyers]
-        flyers = [one._replace(modes=modes) for one, modes in zip(flyers, acting, strict=True)]
+        flyers = [one.as_trained() for one in flyers]
     trained_in = next((one.task for one in flyers if one.task is not None), None)
     scripted = make_task(EMPTY, task=task) if trained_in is None else trained_in.replace(stack=1)
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
@@ -257,7 +269,7 @@ def across(
         tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
     elif not alone:
         beside = [name for name in BASELINES if name not in tasks]
-        flyers = [*flyers, *(Flyer(name, {"scripted": {0: BASELINES[name]}}) for name in beside)]
+        flyers = [*flyers, *map(of_policy, beside)]
     limits = {one.name: max_steps or (one.task or scripted).limit(ACROSS_STEPS) for one in flyers}
     if len(set(limits.values())) > 1:
         each = ", ".join(f"{name} {limit:,}" for name, limit in limits.items())

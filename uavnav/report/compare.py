@@ -28,7 +28,6 @@ from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
 
 if TYPE_CHECKING:
-    from uavnav.tasks.baselines import AnyPolicy
     from uavnav.tasks.wrapper import WrappedTask
 
 MODE = "sampled"
@@ -142,29 +141,14 @@ def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) 
 
 def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
     """The episodes of what is no run, flown now; run: in whose world a scripted policy flies."""
-    from uavnav import evaluation
-    from uavnav.runs import policies
-    from uavnav.runs.policies import Policy
-    from uavnav.tasks.baselines import BASELINES, suited
+    from uavnav.evaluation import across, on
     from uavnav.tasks.table import name_of
-    from uavnav.training import display, machine
 
-    population: Mapping[int, AnyPolicy]
-    if name in BASELINES:
-        population = {0: BASELINES[name]}
-    elif policies.is_zip(name):
-        population = {0: policies.load_policy(name, greedy=False, activation=activation)}
-    else:
-        population = policies.load_policies(name, greedy=False)
-    first = next(iter(population.values()))
-    task = evaluation.on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
-    n = len(task.layouts) * len(population)
-    with machine.use_threads(1), display.episodes(name, n, protocol["max_steps"]) as tell:
-        population = {seed: suited(policy, task) for seed, policy in population.items()}
-        place = _place(name_of(task), task.reward, task.world.model_dump())
-        pilot = first.algorithm if isinstance(first, Policy) else name
-        flown = evaluation.fly(population, task, tell).episodes
-        return Contender(name, flown, protocol, place, None, pilot)
+    who = across.of_policy(name, activation).as_trained()
+    task = on(who.task or _scripted(run), **protocol)
+    rows = who.fly(task, f"on {protocol['layouts']}", quiet=False, measure=None).drop(columns="mode")
+    place = _place(name_of(task), task.reward, task.world.model_dump())
+    return Contender(name, rows, protocol, place, None, who.kind)
 
 
 def check(contenders: Sequence[Contender]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,14 +59,8 @@ def trained_in(run: Run) -> tuple[WrappedTask, str]:
     """
     own = run.config
     try:
-        task = make_task(
-            EMPTY,
-            own.get("world"),
-            own.get("reward"),
-            None,
-            own.get("task", "drone"),
-            faults=own.get("faults"),
-        )
+        where = own.get("world"), own.get("reward"), None, own.get("task", "drone")
+        task = make_task(EMPTY, *where, faults=own.get("faults"))
     except (TypeError, ValueError) as error:
         raise RunError(
             f"{run.path / 'config.yaml'}: names no world ({error}); give a run of this package"
@@ -81,15 +76,8 @@ def named(task: WrappedTask, layouts: str) -> str:
     own = [f"{key}={value}" for key, value in task.world.model_dump().items() if value != usual[key]]
     faults = [str(task.faults)] * (str(task.faults) != "none")
     reward = [f"reward={task.reward}"] * (task.reward != task.REWARD)
-    first = (
-        name if all_layouts in splits.SPLITS else all_layouts if name == "drone" else f"{name} {all_layouts}"
-    )
+    first = name if all_layouts in splits.SPLITS else f"{name} {all_layouts}".removeprefix("drone ")
     return ", ".join([first, *own, *reward, *faults])
-
-
-def _sizes(task: WrappedTask) -> tuple[int, int, int]:
-    """What worlds must have in common: numbers of an observation, turns and distances to choose from."""
-    return task.world.observation_size, task.world.n_turns, task.world.n_distances
 
 
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
@@ -190,13 +178,12 @@ def transfer(
     if first is None:
         given = " ".join(who.name for who in flyers)
         raise RunError(f"--transfer {given}: names no run; give the folders of runs of several worlds")
-    fit = [who for who in flyers if who.task is None or _sizes(who.task) == _sizes(first)]
+    sizes = operator.attrgetter("observation_size", "n_turns", "n_distances")
+    fit = [who for who in flyers if who.task is None or sizes(who.task.world) == sizes(first.world)]
     if left_out := [who.name for who in flyers if who not in fit]:
         size, actions = first.world.observation_size, first.world.n_actions
-        say(
-            f"left out, for they have not {size} numbers to see and these {actions} actions: "
-            f"{', '.join(left_out)}"
-        )
+        lack = f"for they have not {size} numbers to see and these {actions} actions"
+        say(f"left out, {lack}: {', '.join(left_out)}")
     homes = {who.name: place(who.run, episodes, max_steps) for who in fit if who.run is not None}
     places = {home.name: home for home in homes.values()}
     folder = out or next(who.run.path for who in flyers if who.run is not None)
@@ -205,10 +192,10 @@ def transfer(
     unique = hashlib.sha256(names.encode()).hexdigest()[:6]  # others may have a matrix there
     path = folder / f"transfer-{episodes}-{limit}-{unique}.parquet"
     check_out(path)
-    rows = {
-        who.name: pd.concat([visit(who, one, quiet) for one in places.values()], ignore_index=True)
-        for who in fit
-    }
+    rows = {}
+    for who in fit:
+        visits = [visit(who, one, quiet) for one in places.values()]
+        rows[who.name] = pd.concat(visits, ignore_index=True)
     trained = {who.name: homes[who.name].name if who.name in homes else "" for who in fit}
     table = judged(rows, by=FLOWN)
     kept = [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()]

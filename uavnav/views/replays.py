@@ -143,16 +143,13 @@ def record(
         name |= {"accent": configuration.colour} if configuration.colour else {}
         own = [_pack(episode) for _ in population for episode in next(flown[sets])]
         name |= _place(next(iter(population.values())).task, sets, configuration.layouts or usual)
-        shown.append(
-            name | {"values": ALGORITHMS[configuration.algorithm].shown, "mode": "sampled", "episodes": own}
-        )
+        values = ALGORITHMS[configuration.algorithm].shown
+        shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
+    places = [*usual, *(place for one in configurations for place in one.layouts)]
     return {
         "world": world.model_dump(),
-        "layouts": _sparse(
-            all_layouts.double().numpy().round(2).tolist(),
-            [*usual, *(place for one in configurations for place in one.layouts)],
-        ),
+        "layouts": _sparse(all_layouts.double().numpy().round(2).tolist(), places),
         "actions": torch.stack([angle, distance], -1).tolist(),
         "fields": _told(FIELDS),
         "configurations": shown,
@@ -198,14 +195,10 @@ def together(recorded: dict[str, Any], configurations: Mapping[str, str], rule: 
     rule: the rule's name. Episodes are without choices, and begin where the configurations' are shortest.
     """
     # in the paper's world
-    there = [configuration for configuration in recorded["configurations"] if "place" not in configuration]
-    of = {
-        f"{configuration['algorithm'].upper()} {configuration['label']}": configuration["episodes"]
-        for configuration in there
-    }
-    flown = {name: of[label] for label, name in configurations.items() if label in of} | {
-        rule: recorded["rule"]
-    }
+    there = [one for one in recorded["configurations"] if "place" not in one]
+    of = {f"{one['algorithm'].upper()} {one['label']}": one["episodes"] for one in there}
+    flown = {name: of[label] for label, name in configurations.items() if label in of}
+    flown[rule] = recorded["rule"]
     firsts = {
         name: {one["layout"]: one for one in episodes if one["seed"] == episodes[0]["seed"]}
         for name, episodes in flown.items()
@@ -236,9 +229,8 @@ def paths(together: dict[str, Any], steps: int) -> dict[str, Array]:
 
 def _poses(episode: dict[str, Any]) -> dict[str, Any]:
     """A packed episode without its choices, whose bytes are the last."""
-    size = sum(
-        np.dtype(one.type).itemsize * COLUMNS.get(name, 1) for name, one in FIELDS.items() if not one.chosen
-    )
+    kept = {name: np.dtype(one.type).itemsize for name, one in FIELDS.items() if not one.chosen}
+    size = sum(each * COLUMNS.get(name, 1) for name, each in kept.items())
     content = zlib.decompress(base64.b64decode(episode["bytes"]))[: size * (episode["steps"] + 1)]
     return episode | {"bytes": base64.b64encode(zlib.compress(content, 9)).decode()}
 

@@ -51,16 +51,14 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
     if arguments.alone and arguments.across is None:
         raise ConfigError("--alone: only --across flies others beside; leave it out")
     if elsewhere and arguments.faults is not None:
-        raise ConfigError(
-            f"--faults {arguments.faults}: ladders and worlds of training have their own; leave it out"
-        )
+        told = "ladders and worlds of training have their own"
+        raise ConfigError(f"--faults {arguments.faults}: {told}; leave it out")
     if elsewhere and arguments.layouts != "test":
         told = "--across and --transfer fly on test layouts of their own"
         raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
     if arguments.transfer and arguments.task != "drone":
-        raise ConfigError(
-            f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out"
-        )
+        told = "--transfer flies in the worlds of the runs"
+        raise ConfigError(f"--task {arguments.task}: {told}; leave it out")
 
 
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
@@ -87,9 +85,8 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
     """Evaluate on the layouts of one split, keep the rows and show them; returns them for JSON."""
     protocol = _protocol(found, arguments)
     if isinstance(found, Run):
-        rows = evaluate_run(
-            found, protocol.episodes, protocol.max_steps, protocol.layouts, quiet, protocol.faults
-        )
+        bounds = protocol.episodes, protocol.max_steps, protocol.layouts
+        rows = evaluate_run(found, *bounds, quiet, protocol.faults)
         kept = [found.path / protocol.file("evaluation")]
         shown: str | Run = found
     else:

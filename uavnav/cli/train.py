@@ -137,10 +137,9 @@ def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
     several = [name for name, found in values.items() if len(found) > 1]
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
-    if (configurations := math.prod(map(len, values.values()))) > MOST_CONFIGURATIONS:
-        raise ConfigError(
-            f"{several[0]}: the sweep has {configurations:,} runs; give at most {MOST_CONFIGURATIONS:,}"
-        )
+    if (runs := math.prod(map(len, values.values()))) > MOST_CONFIGURATIONS:
+        told = f"the sweep has {runs:,} runs; give at most {MOST_CONFIGURATIONS:,}"
+        raise ConfigError(f"{several[0]}: {told}")
     return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
 
 
@@ -201,9 +200,8 @@ def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
         if name not in known and name.partition(".")[0] not in PARTS:
             raise unknown_key(name, known)
     command = Command(**{name: settings[name] for name in Command.names() if name in settings})
-    config = kind.from_mapping(
-        {name: value for name, value in settings.items() if name not in Command.names()}
-    )
+    own = {name: value for name, value in settings.items() if name not in Command.names()}
+    config = kind.from_mapping(own)
     if command.out is None:
         return Order(config, free_folder(config), command)
     return Order(config, Path(_filled(command.out, flat(plain(config) | command.model_dump()))), command)
@@ -239,15 +237,8 @@ def _check(orders: Sequence[Order]) -> None:
 def _train(order: Order, quiet: bool, fit: Fit) -> Run:
     """Train, show the table, and fly the test split."""
     config, out, command = order
-    finished = train(
-        config,
-        out=out,
-        quiet=quiet,
-        overwrite=command.overwrite,
-        checkpoint_seconds=command.checkpoint_seconds,
-        logger=command.logger,
-        fit=fit,
-    )
+    how = {name: getattr(command, name) for name in ("overwrite", "checkpoint_seconds", "logger")}
+    finished = train(config, out=out, quiet=quiet, fit=fit, **how)
     plugins.warn_of_changed(finished.path, finished.meta.get("plugins", {}))
     if not quiet and finished.fresh:
         summary.report(finished)

@@ -113,10 +113,8 @@ def evaluate_policy(
         world=own.world if world is None else world, reward=own.reward if reward is None else reward
     )
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
-        sees = f"the policy sees {policy.task.observation_size} numbers"
-        raise ValueError(
-            f"{sees}, and this world has {own.observation_size}; give one that was trained there"
-        )
+        both = f"sees {policy.task.observation_size} numbers, and this world has {own.observation_size}"
+        raise ValueError(f"the policy {both}; give one that was trained there")
     limit = own.limit(MAX_STEPS) if max_steps is None else max_steps
     return fly({seed: suited(policy, own)}, on(own, layouts, episodes, limit, faults)).episodes
 
@@ -276,9 +274,10 @@ def evaluate_run(
     ) -> dict[str, pd.DataFrame]:
         own = {mode: {seed: population[seed] for seed in seeds} for mode, population in modes.items()}
         rows, behaviour = fly_modes(own, task, tell, measure_of(layouts))
-        beside = _beside(run, own) if usual else {}
-        # rows last: who finds them has the others too
-        return {**beside, behaviour_file: behaviour, rows_file: rows}
+        found = {ARENA: in_empty_arena(own)} if usual else {}
+        if usual and ALGORITHMS[run.algorithm].shown == "Q value":
+            found[VALUES] = values.overestimation(own["greedy"], run.config["gamma"])
+        return found | {behaviour_file: behaviour, rows_file: rows}  # rows last: who finds them has all
 
     here, there = run.seeds, []
     n = episodes * len(modes)
@@ -305,14 +304,6 @@ def together(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Tables of some seeds each as one, by mode, seed and layout; the steps of an episode stay in order."""
     by = [name for name in ("mode", "seed", "layout") if name in parts[0]]
     return pd.concat(parts).sort_values(by, kind="stable", ignore_index=True)
-
-
-def _beside(run: Run, modes: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd.DataFrame]:
-    """What else is kept of policies in the paper's task, by the name of its file."""
-    found = {ARENA: in_empty_arena(modes)}
-    if ALGORITHMS[run.algorithm].shown == "Q value":
-        found[VALUES] = values.overestimation(modes["greedy"], run.config["gamma"])
-    return found
 
 
 def rows_across(ladder: str, episodes: int, max_steps: int) -> str:

@@ -69,10 +69,8 @@ class Flyer(NamedTuple):
             for mode, population in self.modes.items()
         }
         n = len(task.layouts) * sum(map(len, modes.values()))
-        with (
-            machine.use_threads(1),
-            display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell,
-        ):
+        bar = display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet)
+        with machine.use_threads(1), bar as tell:
             return fly_modes(modes, task, tell, measure).episodes
 
 
@@ -108,9 +106,8 @@ def climb(
     start = time.monotonic()
     for rung in ladder.rungs:
         task = ladder.task(own.replace(max_steps=max_steps), rung, "test")
-        rows = who.fly(
-            task.replace(layouts=task.layouts[:episodes]), f"{ladder.words} {rung:g}", quiet, ladder.measure
-        )
+        task = task.replace(layouts=task.layouts[:episodes])
+        rows = who.fly(task, f"{ladder.words} {rung:g}", quiet, ladder.measure)
         parts.append(rows.assign(rung=float(rung)))
         if len(parts) == 1:
             tell(time.monotonic() - start)
@@ -251,19 +248,15 @@ def across(
     folder = out or next((one.run.path for one in flyers if one.run is not None), Path())
     check_out(folder / "across.svg")
     tasks = {one.name: one.task or scripted for one in flyers}
-    unfit = {
-        name: [who for who, own in tasks.items() if not ladder.fits(own)] for name, ladder in LADDERS.items()
-    }
+    unfit = {name: [who for who, own in tasks.items() if not one.fits(own)] for name, one in LADDERS.items()}
     fit = ", ".join(name for name in LADDERS if not unfit[name])
     climbed = [name for name in names if not unfit[name]]
     if not climbed:
         raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {fit}")
     for name in names:
         if name not in climbed:
-            tell(
-                f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; "
-                f"{fit} fit"
-            )
+            which = f"the ladder {name}, which the world of {', '.join(unfit[name])} does not have"
+            tell(f"left out: {which}; {fit} fit")
     turns, distances = chosen_among(scripted.world)
     if not alone and (scripted.world.n_turns, scripted.world.n_distances) != (turns, distances):
         tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
@@ -300,10 +293,8 @@ def across(
         if not quiet:
             summary.show(shown(table, name))
         if not alone:
-            path = save(
-                draw(table, LADDERS[name], {one.name: one.kind for one in flyers}),
-                folder / rows_across(name, episodes, max(limits.values())),
-            )
+            drawn = draw(table, LADDERS[name], {one.name: one.kind for one in flyers})
+            path = save(drawn, folder / rows_across(name, episodes, max(limits.values())))
             if not quiet:
                 print(f"the figure is {path}", flush=True)
         told += [{"ladder": name, **one} for one in records(table)]

@@ -117,9 +117,8 @@ def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, floa
     What the paper leaves open may be read otherwise: `DEFINITIONS`. flown: the header of a file of rows.
     """
     config, episodes = run.config, flown or {}
-    world = {
-        name: value for name, value in (config.get("world") or {}).items() if name not in DEFINITIONS["world"]
-    }
+    given = config.get("world") or {}
+    world = {name: value for name, value in given.items() if name not in DEFINITIONS["world"]}
     other = config.get("task", "drone") != "drone" or config.get("stack", 1) != 1
     other |= config.get("reward", "eq14") not in DEFINITIONS["reward"]
     other |= World().model_dump() | world != World().model_dump()

@@ -202,8 +202,7 @@ def corridors(table: pd.DataFrame, layouts: Tensor, world: World) -> Flags:
         part = slice(first, first + CHUNK)
         distance, toward_x, toward_y = _bodies(x[part], y[part], layouts[layout[part]].double(), world)
         near = distance <= world.sensor_radius
-        # a body that is far has no direction, and no opposite
-        toward_x, toward_y = (toward_x * near, toward_y * near)
+        toward_x, toward_y = toward_x * near, toward_y * near  # what is far has no direction, no opposite
         for body in range(1, len(distance)):  # each pair once
             cosine = toward_x[body] * toward_x[:body] + toward_y[body] * toward_y[:body]
             found[part] |= cosine.amin(0) <= OPPOSITE

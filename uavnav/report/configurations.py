@@ -117,9 +117,8 @@ def read(path: Path) -> Configuration:
     """The configuration of one run; raises a RunError where it lacks what a report needs."""
     run = Run(path)
     if "n_envs" not in run.config:
-        raise RunError(
-            f"{path / 'config.yaml'}: does not say in how many environments; not a run of this package"
-        )
+        lacks = "does not say in how many environments"
+        raise RunError(f"{path / 'config.yaml'}: {lacks}; not a run of this package")
     for key in ("layouts", "versions", "beyond_preset"):
         run.meta.setdefault(key, {})
     evaluation = run.evaluation()
@@ -169,9 +168,8 @@ def _merged(configuration: Configuration, other: Configuration) -> Configuration
     (added,) = other.runs
     for run in configuration.runs:
         if twice := sorted({*run.seeds} & {*added.seeds}):
-            raise RunError(
-                f"{added.path}: its seed {twice[0]} is in {run.path} already, with the same settings"
-            )
+            there = f"its seed {twice[0]} is in {run.path} already"
+            raise RunError(f"{added.path}: {there}, with the same settings")
     return replace(
         configuration,
         runs=[*configuration.runs, added],

@@ -11,12 +11,11 @@ Letters: S seeds of a configuration, C terms of a part, J its contrasts.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import pandas as pd
 
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, SAMPLED
@@ -48,9 +47,7 @@ NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "le
 
 FIVE = ("ppo", "dqn", "sac", "a2c", "c51")
 PAIR = ("tanh", "relu")
-"""Algorithms of the study `worlds`, and activations of most studies but the main one, the bounded one
-first.
-"""
+"""Algorithms of the study `worlds`; activations of most side studies, the bounded one first."""
 ALL_WORLDS = "all worlds"
 """The mean over tasks."""
 RUNGS = {0: "density-0", 4: "density-4", 8: "drone", 16: "density-16", 20: "density-20"}
@@ -64,9 +61,7 @@ PASSAGES = {
 CRASHED = "crashed"
 """The share of episodes that end in a collision."""
 SLOPE = "reward_by_density"
-"""The slope of a policy's reward over the rungs of the density ladder, a number a seed [reward an
-obstacle].
-"""
+"""The slope of a policy's reward over the density ladder, a number a seed [reward an obstacle]."""
 VARIATION, SCATTER = "gradient_variation", "scatter"
 """Over training, a seed's standard deviation of the gradient's norm to its mean; how far a seed's reward is
 from its configuration's median, to the mean of that in its task.
@@ -151,9 +146,7 @@ class Claim(NamedTuple):
     parts: Sequence[Part]
     shown: int | None = 0  # the part that its sentence (templates/study.md) is about, where one counts
     equal: tuple[str, ...] = ("algorithm", "metric")
-    """If nothing that the claim compares differed, terms that agree in these fields would have the same
-    mean.
-    """
+    """If nothing differed, terms that agree in these fields would have the same mean."""
     note: str = ""  # what else its own tables say
     column: str = TRAINING  # of `COLUMNS`: the one that its sentence is about
     elsewhere: Sequence[Part] = ()  # what it asks of other settings
@@ -206,9 +199,7 @@ def _pairs(
     sign: int = 1,
     every: bool = True,
 ) -> Part:
-    """Each configuration is above each of the others (sign -1: below); or else at least one of these
-    pairs is in that order.
-    """
+    """Each configuration is above each of the others (sign -1: below), or at least one such pair is."""
     count = len(up) + len(down)
     rows = []
     for first, second in itertools.product(range(len(up)), range(len(up), count)):
@@ -244,9 +235,7 @@ def _six(
     sign: int = 1,
     make: Any = _pairs,
 ) -> list[Part]:
-    """A question to each metric of the paper's tables: some configurations are better than others (sign
-    -1: worse).
-    """
+    """A question to each of the six metrics: some configurations are better than others (sign -1: worse)."""
     return [
         make(f"{_label(name)}: {text}", name, up, down, sign * metric.better) for name, metric in SIX.items()
     ]
@@ -357,9 +346,7 @@ def _density() -> list[Part]:
 
 
 def _own_rungs() -> Part:
-    """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope over rungs is
-    below 0.
-    """
+    """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope is below 0."""
     configurations = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
     terms = tuple(
         Term(algorithm, activation, "reward", world) for world, algorithm, activation in configurations
@@ -625,9 +612,3 @@ PRINTED = {
     "DQN: bounded − unbounded": (7, 3),
 }
 """The differences of reward that the paper prints: the number of a claim and the place of its part."""
-
-
-def long(samples: Mapping[tuple[str, str], Array]) -> pd.DataFrame:
-    """One row a seed, as `stats.interaction` takes it: columns algorithm, activation, value."""
-    rows = [(*configuration, value) for configuration, values in samples.items() for value in values]
-    return pd.DataFrame(rows, columns=["algorithm", "activation", "value"])

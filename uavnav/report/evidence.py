@@ -11,7 +11,7 @@ from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import OPEN, of_claim
+from uavnav.report.verdicts import COUNTS, OPEN, of_claim
 
 
 class Row(NamedTuple):
@@ -50,7 +50,7 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
-    chosen = "claim == @claim.number and column == @claim.column and standing == @COUNTS"
+    chosen = f"claim == @claim.number and column == @claim.column and standing == {COUNTS!r}"
     for place, one in content.tables["verdicts"].query(chosen).iterrows():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
         return f"{one['text']}: {quotes.link(effect, 'verdicts', int(str(place)))}"

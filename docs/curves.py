@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from uavnav import style
+from uavnav.report.charts import curves
 from uavnav.report.configurations import read
-from uavnav.report.curves import curves
 from uavnav.runs import paper
 
 DOCS = Path(__file__).parent
@@ -21,7 +21,7 @@ def draw(algorithm: str) -> bytes:
     found = {name: read(RESULTS / study / algorithm / name) for name in paper.ACTIVATIONS}
     printed = {name: paper.printed(algorithm, name, "reward", per_frame=True) for name in found}
     known = {name: mean for name, mean in printed.items() if math.isfinite(mean)}
-    return style.save(curves(found, "reward", known, f"{algorithm.upper()}: ").figure)[1]
+    return style.save(curves(found, known, f"{algorithm.upper()}: ").figure)[1]
 
 
 if __name__ == "__main__":

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
-from uavnav.errors import Parser
 from uavnav.report.docs import between_marks
 from uavnav.settings import lines, shown
 from uavnav.training.config import TrainConfig
@@ -20,12 +18,9 @@ Configs = Mapping[str, type[TrainConfig]]
 def command_table() -> str:
     """A row for each command: its name, what it does, its example."""
     rows = ["| command | what it does | example |", "|---|---|---|"]
-    for name, add in commands.COMMANDS.items():
-        parser = Parser(prog=f"uavnav {name}")
-        add(parser)
-        found = re.search(r"^example: (.*)$", parser.epilog or "", re.MULTILINE)
-        example = found[1] if found else "uavnav train ppo preset=fast activation=relu"
-        rows.append(f"| `{name}` | {add.__doc__} | `{example}` |")
+    for name, one in commands.COMMANDS.items():
+        example = one.example or "train ppo preset=fast activation=relu"
+        rows.append(f"| `{name}` | {one.what} | `uavnav {example}` |")
     return "\n".join(rows)
 
 

@@ -294,7 +294,7 @@ def _train(algorithm, mapping):
 def options(name):
     """What a command takes."""
     parser = Parser(prog=f"uavnav {name}", add_help=False)
-    commands.COMMANDS[name](parser)
+    commands.COMMANDS[name].add_to(parser)
     return parser._actions
 
 

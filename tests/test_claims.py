@@ -338,11 +338,6 @@ def test_one_line_adds_a_claim():
     assert (found[-1].paper, found[-1].value) == pytest.approx((3.881 - 1.497, 3))
 
 
-def test_rows_of_seeds_for_the_test_of_interaction():
-    table = claims.long({("ppo", "tanh"): np.array([1.0, 2.0]), ("dqn", "relu"): np.array([3.0])})
-    assert table.to_numpy().tolist() == [["ppo", "tanh", 1.0], ["ppo", "tanh", 2.0], ["dqn", "relu", 3.0]]
-
-
 # -- claims 12 to 16: a study as the paper says, the other way round, or in which nothing differs ------------
 
 ORDER = {"sac": 2.0, "dqn": 1.0, "ppo": 0.0, "a2c": 0.0, "c51": 0.0}

@@ -68,8 +68,8 @@ def test_uavnav_alone_shows_every_command_with_its_line_and_an_example_of_each_k
     lines = told(words, capsys).splitlines()
     width = max(map(len, commands.COMMANDS))
     assert lines[0].startswith(f"uavnav {uavnav.__version__}: ")
-    for name, add in commands.COMMANDS.items():
-        assert f"  {name:{width}}  {add.__doc__}" in lines
+    for name, one in commands.COMMANDS.items():
+        assert f"  {name:{width}}  {one.what}" in lines
     for kind, (example, _) in commands.KINDS.items():
         assert {f"{kind}:", example} <= {line.strip() for line in lines}
     assert max(map(len, lines)) <= 120
@@ -147,10 +147,10 @@ def test_the_help_of_a_command_says_what_it_does_explains_each_argument_and_ends
 ):
     monkeypatch.setenv("COLUMNS", "80")
     parser = Parser(prog=f"uavnav {name}")
-    commands.COMMANDS[name](parser)
+    commands.COMMANDS[name].add_to(parser)
     text = told(f"{name} --help", capsys)
     assert text.startswith(f"usage: uavnav {name} ")
-    assert f"\n{commands.COMMANDS[name].__doc__}\n" in text
+    assert f"\n{commands.COMMANDS[name].what}\n" in text
     for action in parser._actions:
         assert action.help, action.option_strings or action.dest
     (example,) = re.findall(rf"^example: uavnav {name} (.*)$", text, re.MULTILINE)

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pandas as pd
 import pytest
 from made_up import episodes
@@ -26,7 +25,6 @@ from uavnav.report.compare import (
     page,
     pairs,
     seeds_of,
-    spark,
     survival,
     text,
 )
@@ -81,11 +79,6 @@ def test_episodes_that_end_at_ten_steps_are_up_until_then():
     shares = survival([ABOVE])["above"]
     assert shares[shares.index < 10].iloc[-1] == 1.0
     assert shares[shares.index >= 10].iloc[0] == 0.0
-
-
-def test_bars_go_from_the_least_to_the_most_and_a_constant_is_low():
-    assert spark([0.0, 7.0, 3.5, np.nan]) == "▁█▅▁"
-    assert spark([2.0, 2.0]) == "▁▁"
 
 
 def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):

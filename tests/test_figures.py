@@ -15,7 +15,7 @@ from PIL import Image
 
 from uavnav import stats, style
 from uavnav.colours import OTHERS, PILOTS
-from uavnav.report import arena, charts, curves, figures
+from uavnav.report import arena, charts, figures
 from uavnav.report.configurations import BINS
 from uavnav.runs import paper
 from uavnav.runs.definitions import SAMPLED
@@ -38,16 +38,6 @@ def texts(figure):
     return [text.get_text() for text in figure.findobj(matplotlib.text.Text) if text.get_text()]
 
 
-def lines(axes, marker):
-    return [line for line in axes.lines if line.get_marker() == marker]
-
-
-def switches(**values):
-    """Differences of PPO and DQN under some switches, with intervals 4 wide, of 8 seeds."""
-    rows = [(name, "PPO - DQN", value, value - 2, value + 2, 8) for name, value in values.items()]
-    return pd.DataFrame(rows, columns=["switch", "conclusion", "value", "low", "high", "n"])
-
-
 def trained(*seeds, algorithm="ppo", activation="tanh"):
     """A configuration from the rewards per frame of each seed, one episode a bin; the bins after the last
     are like it.
@@ -61,10 +51,9 @@ def trained(*seeds, algorithm="ppo", activation="tanh"):
     return configuration(made, (algorithm, activation), n_seeds=len(seeds), frames=FRAMES, n_envs=1)
 
 
-def drawn(configurations, column="reward", title=""):
+def drawn(configurations, title=""):
     """Learning curves of configurations by label, with the paper's mean of PPO with tanh."""
-    printed = {"tanh": 88.527 / 2727.577} if column == "reward" else {}
-    return curves.curves(configurations, column, printed, title)
+    return charts.curves(configurations, {"tanh": 88.527 / 2727.577}, title)
 
 
 def heights(band):
@@ -85,39 +74,23 @@ def own_episodes(*paths, seed=0, mode="greedy"):
     )
 
 
-def behaviours_of(names, **measures):
-    """Two seeds a configuration, with each measure's two values."""
-    rows = [
-        {"configuration": name, "algorithm": name.split()[0], "activation": name.split()[1], "seed": seed}
-        | {measure: values[seed] for measure, values in measures.items()}
-        for name in names
-        for seed in range(2)
-    ]
-    return pd.DataFrame(rows)
-
-
 WORLD = World()
 LAYOUTS = np.array([[[100.0, 100.0, 50.0], [600.0, 400.0, 80.0]]] * 3)
 PATHS = own_episodes([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0, 300.0)] * 5)
 EXAMPLES = {
     "curves": lambda: drawn({"tanh": trained([1.0, 2.0], [3.0, 4.0])}),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([1.0, 2.0])}, {"PPO tanh": 3.0}, "reward"),
-    "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(60.0, 80.0))),
-    "survival": lambda: curves.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
+    "survival": lambda: charts.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS}, LAYOUTS, [0, 1], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.full((3, 4), 1 / 12)}, WORLD),
-    "sensitivity": lambda: charts.sensitivity(switches(default=5.0)),
 }
 NOTHING = {
     "curves": lambda: drawn({}),
     "curves of no episode": lambda: drawn({"tanh": trained([])}),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([np.nan])}, {}, "reward"),
-    "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(np.nan, np.nan))),
-    "behaviours of none": lambda: charts.behaviours(pd.DataFrame()),
-    "survival": lambda: curves.survival({}, 10),
+    "survival": lambda: charts.survival({}, 10),
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS[:0]}, LAYOUTS, [0], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.zeros((3, 4))}, WORLD),
-    "sensitivity": lambda: charts.sensitivity(switches()),
 }
 
 
@@ -231,7 +204,7 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
 
 def test_a_band_of_20_seeds_holds_the_quantiles_of_resampled_means():
     seeds = np.random.default_rng(1).normal(size=(3, 20))
-    band = curves.band(pd.DataFrame(seeds))
+    band = charts.band(pd.DataFrame(seeds))
     assert np.allclose(band["mean"], seeds.mean(1))
     width = 1.96 * seeds.std(1) / np.sqrt(20)
     assert np.allclose(band["low"], seeds.mean(1) - width, atol=0.06)
@@ -239,27 +212,11 @@ def test_a_band_of_20_seeds_holds_the_quantiles_of_resampled_means():
 
 
 def test_a_seed_without_a_value_counts_for_none_in_its_bin():
-    band = curves.band(pd.DataFrame([[1.0, np.nan, 5.0], [2.0, np.nan, np.inf], [np.nan] * 3]))
+    band = charts.band(pd.DataFrame([[1.0, np.nan, 5.0], [2.0, np.nan, np.inf], [np.nan] * 3]))
     assert band.iloc[0].tolist() == [3.0, 1.0, 5.0, 2]
     assert band.iloc[1, 0] == 2.0
     assert band["n"].tolist() == [2, 1, 0]
     assert band.iloc[1:, 1:3].isna().all(axis=None)
-
-
-def test_steps_per_collision_are_all_frames_over_all_collisions_so_that_a_seed_without_one_counts():
-    """Seed 0 collides in every 40th frame and seed 1 never: 80 frames a collision, and of seed 1 alone no
-    number.
-    """
-    both = trained([0.0], [0.0])
-    both.episodes["terminated"] = both.episodes["seed"] == 0
-    line = curves.learning(both, "steps")
-    assert line["mean"].tolist() == pytest.approx([80.0] * BINS)
-    assert line["low"].tolist() == pytest.approx([40.0] * BINS)  # both draws of seed 0
-    assert line["high"].isna().all()  # both of seed 1
-    assert "tanh 80.0" in drawn({"tanh": both}, "steps").alt
-    never = trained([0.0])
-    never.episodes["terminated"] = False
-    assert drawn({"tanh": never}, "steps").alt.endswith("in the last bin: tanh no data.")
 
 
 def test_one_seed_gives_a_line_and_no_band():
@@ -317,24 +274,9 @@ def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
     assert not any(line.get_linewidth() == 2.4 for line in drawn.figure.axes[0].lines)
 
 
-def test_behaviours_are_a_panel_a_measure_with_its_unit_and_a_row_a_trained():
-    table = behaviours_of(
-        ["PPO tanh", "DQN tanh"], clearance=(60.0, 80.0), corridor=(0.25, 0.35), other=(1.0, 1.0)
-    )
-    drawn = charts.behaviours(table)
-    shown = [axes for axes in drawn.figure.axes if axes.axison]
-    assert [axes.get_xlabel() for axes in shown] == ["clearance [px]", "steps in corridors [share]", "other"]
-    assert [label.get_text() for label in shown[0].get_yticklabels()] == [
-        "PPO tanh, n = 2",
-        "DQN tanh, n = 2",
-    ]
-    assert "clearance [px]: PPO tanh 70.0, DQN tanh 70.0" in drawn.alt
-    assert "steps in corridors [share]: PPO tanh 0.3," in drawn.alt
-
-
 def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
     shares = stats.survival(np.array([10.0, 20.0, 100.0, 100.0]), np.array([True, True, False, False]))
-    drawn = curves.survival({"PPO tanh (n = 1)": shares}, limit=100)
+    drawn = charts.survival({"PPO tanh (n = 1)": shares}, limit=100)
     (axes,) = drawn.figure.axes
     line, limit = axes.lines
     assert line.get_xdata().tolist() == [0, 10, 20, 100]
@@ -348,7 +290,7 @@ def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
 
 def test_episodes_that_all_stay_up_have_a_flat_line():
     shares = stats.survival(np.array([50.0, 50.0]), np.array([False, False]))
-    drawn = curves.survival({"PPO tanh": shares}, limit=50)
+    drawn = charts.survival({"PPO tanh": shares}, limit=50)
     assert set(drawn.figure.axes[0].lines[0].get_ydata()) == {1.0}
     assert "half of them never, 100 % up at 50" in drawn.alt
     style.save(drawn.figure)
@@ -391,32 +333,12 @@ def test_heat_maps_share_a_scale_up_to_the_largest_share_and_lie_the_right_way_u
 
 def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apart():
     means = {one: paper.printed("dqn", one, "reward", per_frame=True) for one in paper.ACTIVATIONS}
-    (axes,) = curves.curves({one: trained([0.0], [1.0]) for one in means}, "reward", means).figure.axes
+    (axes,) = charts.curves({one: trained([0.0], [1.0]) for one in means}, means).figure.axes
     named = {text.get_text(): text.xyann for text in axes.texts}
     assert set(named) == {"tanh -0.0438", "sigmoid -0.0268", "relu -0.037", "leaky_relu -0.0353"}
     heights = sorted(place for _, place in named.values())
     assert np.diff(heights).min() > 0.054
     assert {place for place, _ in named.values()} == {1.06}
-
-
-def test_a_forest_shades_the_defaults_interval_and_greys_intervals_with_0():
-    drawn = charts.sensitivity(switches(slots=1.0, default=5.0, padding=-3.0))
-    (axes,) = drawn.figure.axes
-    (shade,) = axes.patches
-    assert (shade.get_x(), shade.get_x() + shade.get_width()) == (3.0, 7.0)
-    assert [label.get_text() for label in axes.get_yticklabels()] == [
-        *("default, n = 8", "slots, n = 8", "padding, n = 8")
-    ]
-    colours = {float(line.get_xdata()[0]): line.get_color() for line in lines(axes, "o")}
-    assert colours[5.0] == colours[-3.0] != colours[1.0] == style.PALE
-    assert "PPO - DQN 5.00 (95 % interval 3.00 to 7.00; n = 8) by default" in drawn.alt
-    assert drawn.alt.endswith("of the same sign under 1 of 2 other choices.")
-
-
-def test_a_forest_without_a_default_or_an_interval_has_no_shade():
-    drawn = charts.sensitivity(switches(slots=1.0).assign(low=np.nan, high=np.nan))
-    assert len(drawn.figure.axes[0].patches) == 0
-    assert "1 choices, none of them the default" in drawn.alt
 
 
 def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
@@ -446,7 +368,7 @@ def test_the_rule_is_a_dashed_line_beside_configurations_and_where_there_is_none
     assert style.RULE in texts(drawn.figure)
     assert style.RULE not in texts(charts.intervals(rows, {}, "reward").figure)
     up = pd.Series([1.0, 1.0], index=[0.0, 100.0])
-    (axes,) = curves.survival(
+    (axes,) = charts.survival(
         {"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.RULE: up}, 100
     ).figure.axes
     mine, rule, _ = axes.lines

@@ -108,7 +108,9 @@ def test_interactions_by_metric_and_reading_of_the_papers_configurations_alone()
     means = {
         f"{algorithm}_{activation}": 20 * place for place, (algorithm, activation) in enumerate(paper.TABLES)
     }
-    found = frames.interactions(configurations(**means, ppo_mish=1e6)).set_index(["definition", "metric"])
+    found = frames.interactions(frames.per_seed_values(configurations(**means, ppo_mish=1e6))).set_index(
+        ["definition", "metric"]
+    )
     assert len(found) == 6
     row = found.loc[PRIMARY, "reward"]
     assert row["n"] == 3

@@ -118,7 +118,6 @@ def test_every_figure_is_drawn_and_has_words_a_caption_and_a_size(browser):
         "trajectories",
         "heat",
         "survival",
-        "behaviour",
     }
 
 

@@ -298,11 +298,10 @@ def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_l
     other = (1000, 500, 0, 0, 0, 0, 0.0, False, False)
     write_run(tmp_path / "run", rows(0, first, rest, other), rows(1, other, other), n_envs=2)
     (configuration,), _ = collect([tmp_path])
-    found = curve(configuration, "reward")
+    found = curve(configuration)
     assert found.index.tolist() == [(place + 0.5) * width for place in range(BINS)]
     assert found[0].tolist() == pytest.approx([30 / 40] + [0.5] * 24)
     assert found[1].tolist() == [0.0] * BINS
-    assert (curve(configuration, "terminated")[0] * width).tolist() == [1.0] + [0.0] * 24
 
 
 def test_the_report_says_how_runs_were_made(text):

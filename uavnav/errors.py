@@ -61,11 +61,7 @@ def told(value: object, most: int = WORD * 2) -> str:
     """A value as a message shows it: short and in one line, however large, deep or odd it is."""
     try:
         return one_line(value, most)
-    except (
-        ValueError,
-        RecursionError,
-        RuntimeError,
-    ):
+    except (ValueError, RecursionError, RuntimeError):
         # a number of many digits, nested lists, a damaged tensor
         return f"a {type(value).__name__}"
 
@@ -93,17 +89,13 @@ def nearest(value: object, choices: Collection[str]) -> str:
 
 
 def did_you_mean(value: object, choices: Collection[str]) -> str:
-    """` (did you mean relu?)`, the nearest of the choices, for a message that does not list them; often
-    empty.
-    """
+    """` (did you mean relu?)`, the nearest choice, for a message that does not list them; often empty."""
     near = nearest(value, choices)
     return f" (did you mean {near}?)" if near else ""
 
 
 def choose_from(value: object, choices: Collection[str]) -> str:
-    """`did you mean gelu? choose from elu, gelu`: the nearest of the choices, and all or some of them by
-    name.
-    """
+    """`did you mean gelu? choose from elu, gelu`: the nearest choice, and all or some of them."""
     choices = [told(choice) for choice in choices]  # a file may have keys that are no words
     names = sorted(choices)
     if len(", ".join(names)) > LONG:

@@ -1,6 +1,4 @@
-"""Files that appear whole or not at all, and that are read only where they are files of the size of their
-kind.
-"""
+"""Files that appear whole or not at all, and that are read only up to the size of their kind."""
 
 from __future__ import annotations
 
@@ -38,9 +36,7 @@ Kind = TypeVar("Kind", bound=Facts)
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write aside, then rename: the file is whole or not there; raises OSError, also where something else
-    is.
-    """
+    """Write aside, then rename: the file is whole or not there; raises OSError."""
     if path.exists() and not path.is_file():  # a rename would put the file in its place
         raise FileExistsError(errno.EEXIST, "it is no file", str(path))
     aside = path.with_name(f".{path.name}.{os.getpid()}.aside")
@@ -58,9 +54,7 @@ def remove(path: Path) -> None:
 
 
 def check(path: str | Path, most: int = MEMORY_BYTES) -> None:
-    """Raise an OSError unless a regular file is there (no folder, pipe or device) of at most so many
-    bytes.
-    """
+    """Raise an OSError unless a regular file of at most so many bytes is there."""
     _check(os.stat(_named(path)), most)
 
 
@@ -76,9 +70,7 @@ def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
 
 
 def facts(kind: type[Kind], said: Any) -> Kind:
-    """What a file says as its kind of facts; raises a ValueError that names the first that is wrong:
-    `frames=many`.
-    """
+    """What a file says as its kind of facts; a ValueError names the first that is wrong: `frames=many`."""
     try:
         return kind.model_validate(said)
     except ValidationError as error:
@@ -93,9 +85,7 @@ def read_json(path: str | Path, most: int = SETTINGS_BYTES) -> Any:
 
 
 def parsed(text: str | bytes) -> Any:
-    """What JSON says; raises a ValueError where it is none, nested too deeply, or has a number of very
-    many digits.
-    """
+    """What JSON says; raises a ValueError where it is none, or nested too deeply."""
     try:
         return json.loads(text, parse_int=_whole)
     except RecursionError as error:
@@ -135,21 +125,13 @@ def parsed_yaml(text: str | bytes, loader: type[yaml.SafeLoader] = Loader) -> An
         return yaml.load(text, loader)  # a safe loader
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
-    except (
-        yaml.YAMLError,
-        TypeError,
-        AttributeError,
-        KeyError,
-        OverflowError,
-    ) as error:
+    except (yaml.YAMLError, TypeError, AttributeError, KeyError, OverflowError) as error:
         # the latter of odd keys, dates
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
 def check_out(path: Path) -> None:
-    """Raises ValueError, before anyone flies, for a file that could not be written; its folders may yet
-    be made.
-    """
+    """Raise a ValueError for a file that could not be written; its folders may yet be made."""
     try:
         folder = next(one for one in Path(_named(path)).absolute().parents if one.exists())
         if path.is_dir():

@@ -68,9 +68,7 @@ def load(names: str | Sequence[str] | None) -> None:
 
 
 def _sha256(module: ModuleType) -> str:
-    """Of a module's file; of all Python files of a package, in the order of their paths; empty without
-    any.
-    """
+    """The hash of a module's file, or of all Python files of a package; empty without any."""
     folders = [Path(folder) for folder in getattr(module, "__path__", ())]
     files = [file for folder in folders for file in sorted(folder.rglob("*.py"))] or [
         Path(module.__file__ or "")

@@ -62,9 +62,7 @@ def interval(
 def intervals(
     rows: Sequence[Sequence[float] | Array], statistics: Sequence[Callable[..., Any]], seed: int = 0
 ) -> list[list[Interval]]:
-    """`interval` of each statistic of each row; rows of as many seeds share their draws, with the same result
-    as each by itself.
-    """
+    """`interval` of each statistic of each row; rows of as many seeds share their draws."""
     known = [np.asarray(row, dtype=np.float64) for row in rows]
     known = [row[~np.isnan(row)] for row in known]
     found: list[list[Interval]] = [[] for _ in rows]
@@ -80,9 +78,7 @@ def intervals(
 
 
 def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1) -> Array:
-    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by the order of its terms in
-    memory.
-    """
+    """All statistics of a table's rows [..., S]: [statistics, ...], the same bits for any layout."""
     table = np.ascontiguousarray(np.moveaxis(table, axis, -1))
     return np.stack([statistic(table, axis=-1) for statistic in statistics])
 
@@ -90,9 +86,7 @@ def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1
 def _ends(
     table: Array, statistics: Sequence[Callable[..., Any]], value: Array, seed: int
 ) -> tuple[Array, Array]:
-    """Both ends of the intervals of a table [R, S]: [statistics, R] each; where all seeds are equal, the
-    value.
-    """
+    """Both ends of the intervals of a table [R, S]: [statistics, R] each."""
     low, high = value.copy(), value.copy()
     varies = np.ptp(table, axis=-1) > 0
     if varies.any():
@@ -120,8 +114,7 @@ def _ends(
 class Contrasts(NamedTuple):
     """Linear contrasts of means over seeds: estimates, standard errors, degrees of freedom, each [..., J].
 
-    The error is exactly 0, and df is 1, where one side of a contrast never varies: its weighed seeds are all
-        alike.
+    The error is exactly 0, and df is 1, where one side of a contrast never varies.
     """
 
     value: Array
@@ -137,18 +130,14 @@ class Contrasts(NamedTuple):
         return np.asarray(self.value - special.stdtrit(self.df, 1 - np.asarray(level)) * self.error)
 
     def above(self) -> Array:
-        """One-sided p values of the contrasts being above zero; below zero they are 1 - p. NaN without an
-        error.
-        """
+        """One-sided p values of the contrasts being above zero; NaN without an error."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(
                 special.stdtr(self.df, -self.value / np.where(self.error > 0, self.error, np.nan))
             )
 
     def power(self, effect: Array, level: float | Array) -> Array:
-        """How probably a one-sided test at this level finds effects [J], from the noncentral t
-        distribution.
-        """
+        """How probably a one-sided test at this level finds effects [J]: by the noncentral t."""
         shift = np.minimum(effect / np.where(self.error > 0, self.error, np.nan), _FAR)
         found = 1 - special.nctdtr(self.df, shift, special.stdtrit(self.df, 1 - np.asarray(level)))
         return np.asarray(np.where(shift == _FAR, 1.0, found))
@@ -161,16 +150,13 @@ _DIGITS = 12
 
 
 def welch(samples: Sequence[Array], weights: Array, paired: bool = False) -> Contrasts:
-    """Contrasts of configurations' means by Welch and Satterthwaite; paired: of the same seeds, each seed's
-    own contrast.
+    """Contrasts of configurations' means by Welch and Satterthwaite; paired: of each seed's own contrast.
 
-    samples: C configurations, each [..., S], if paired of equal S (else they are taken as independent);
-        weights [J, C]:
+    samples: C configurations, each [..., S], if paired of equal S (else independent); weights [J, C]:
 
         error^2 = sum w^2 s^2 / S,    df = error^4 / sum (w^2 s^2 / S)^2 / (S - 1)
 
-    Raises:
-        ValueError: a configuration has fewer than two seeds.
+    Raises a ValueError where a configuration has fewer than two seeds.
     """
     if min(sample.shape[-1] for sample in samples) < 2:
         raise ValueError("a configuration has fewer than two seeds; an error needs at least two")
@@ -206,8 +192,7 @@ def rounded(means: Array) -> Array:
 
 
 def difference(first: Sequence[Array], second: Sequence[Array]) -> Interval:
-    """The mean of some configurations' means minus that of others, with Welch's interval; n is the smallest
-    configuration's.
+    """The mean of some configurations' means minus that of others, with Welch's interval; n is the smallest.
 
     first, second: [S] per configuration. With five seeds it covers 95 % (a percentile bootstrap 83 %). The
     interval of equal seeds is their value; NaN where a configuration has fewer than two.
@@ -246,11 +231,9 @@ def ratio(above: Array, below: Array) -> Interval:
 
 
 def deviations(seeds: Array) -> Array:
-    """The standard deviation of seeds [S] as one number a seed [S], so that means of them and `welch` have
-    intervals.
+    """The standard deviation of seeds [S] as one number a seed [S], so that `welch` has its interval.
 
-    The jackknife's pseudo-values S s - (S - 1) s_i, where s_i is the standard deviation without seed i. NaN
-    with fewer than three seeds.
+    The jackknife's pseudo-values S s - (S - 1) s_i, where s_i leaves seed i out; NaN with fewer than three.
     """
     n = len(seeds)
     if n < 3:
@@ -260,11 +243,10 @@ def deviations(seeds: Array) -> Array:
 
 
 def rank_correlation(first: Sequence[Array], second: Sequence[Array], seed: int = 0) -> Interval:
-    """Spearman's correlation of configurations' means in two studies, with the interval of percentiles over
-    resampled seeds.
+    """Spearman's correlation of configurations' means in two studies, with percentiles over resampled seeds.
 
-    first, second: the same configurations in the same order, [S] each. NaN with fewer than two configurations
-    or two seeds in one, or where all means of a study are alike.
+    first, second: the same configurations in order, [S] each. NaN with fewer than two configurations or two
+    seeds in one, or where all means of a study are alike.
     """
     n = min(map(len, [*first, *second]), default=0)
     if n < 2 or len(first) < 2:
@@ -304,9 +286,7 @@ def prediction(seeds: Array, number: float) -> Prediction:
     """Whether a number may be one more seed; seeds [S].
 
     The interval is Student's, mean -+ t_0.975 s sqrt(1 + 1/S). The percentile is the share of seeds below the
-    number, of equal ones half, in %. At 0 and 100 the number is outside the seeds' range. The range of 40
-    seeds contains a further seed in 95 % of cases. All is NaN, and the number not within, with fewer than two
-    seeds or without a number.
+    number, of equal ones half, in %. All is NaN, and the number not within, with fewer than two seeds.
     """
     n = len(seeds)
     if n < 2 or np.isnan(number):
@@ -372,8 +352,7 @@ def chance_of_order(samples: Sequence[Array]) -> float:
 
 
 def nested_intervals(episodes: Sequence[Array], seed: int = 0) -> list[Interval]:
-    """Means over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each
-    seed.
+    """Means over seeds of each seed's mean: seeds are resampled, then episodes within each seed.
 
     episodes: [M, E] a seed, whose M columns share their draws; the result is an interval a column.
     """
@@ -410,11 +389,9 @@ def holm(p_values: Sequence[float] | Array) -> Array:
 
 
 def improvement(configurations: Mapping[str, Array]) -> pd.DataFrame:
-    """For every pair of configurations, the probability that a seed of `a` beats a seed of `b`, and a test
-    against 1/2.
+    """For every pair, the probability that a seed of `a` beats a seed of `b`, and a test against 1/2.
 
-    configurations: [S] per configuration. Columns: a, b, n_a, n_b, probability (Mann and Whitney's U divided
-    by n_a n_b; a tie counts half), p, p_holm.
+    Columns a, b, n_a, n_b, probability (Mann and Whitney's U / (n_a n_b); a tie counts half), p, p_holm.
     """
     rows = []
     for (a, mine), (b, theirs) in itertools.combinations(configurations.items(), 2):
@@ -437,8 +414,7 @@ class Interaction(NamedTuple):
 
 
 def _above_and_below(pairs: Sequence[tuple[Array, Array]], rng: np.random.Generator) -> Array:
-    """One-sided p values of a's mean above b's mean and below it, by permuting seeds: pairs of [S], [S] ->
-    [pairs, 2].
+    """One-sided p values of a's mean above b's mean and below it, by permuting seeds: [S], [S] -> [pairs, 2].
 
     Pairs of the same sizes share their permutations.
     """
@@ -458,9 +434,7 @@ def _above_and_below(pairs: Sequence[tuple[Array, Array]], rng: np.random.Genera
 
 
 def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.Generator) -> float:
-    """P value of a crossover: two configurations of one order in the first list and the other order in
-    the second; [S] each.
-    """
+    """P value of a crossover: two configurations change places between the lists; [S] each."""
     pairs = [*itertools.combinations(range(len(first)), 2)]
     here, there = (
         _above_and_below([(configurations[a], configurations[b]) for a, b in pairs], rng)
@@ -471,14 +445,12 @@ def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.G
 
 
 def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
-    """Test the interaction of algorithm and activation; table: one row per seed; columns algorithm,
-    activation, value.
+    """Test the interaction of algorithm and activation; table: columns algorithm, activation, value.
 
     p_ranks tests for a crossover: a is above b under the first algorithm, and b is above a under the second.
-    Equal orders are no crossover, whatever their scale, spacing and noise. The test is an intersection-union
-    test: an ordered pair has the larger of its two one-sided p values (seeds permuted), and p_ranks is the
-    smallest of these by Holm. p_raw is Wald's test of the interaction by least squares on the values, with
-    HC3 errors.
+    Equal orders are no crossover, whatever their scale and noise. An ordered pair has the larger of its two
+    one-sided p values (seeds permuted), and p_ranks is the smallest of these by Holm. p_raw is Wald's test of
+    the interaction by least squares on the values, with HC3 errors.
     """
     configurations = {
         key: part.to_numpy() for key, part in table.groupby(["algorithm", "activation"])["value"]
@@ -523,11 +495,9 @@ def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
 
 
 def seeds_needed(mine: Array, theirs: Array, effect: float, power: float = 0.8, alpha: float = 0.05) -> float:
-    """Seeds per configuration with which a t test finds this difference where seeds scatter as these; mine,
-    theirs: [S].
+    """Seeds per configuration with which a t test finds this difference; mine, theirs: [S], for the scatter.
 
-    The difference between these seeds plays no part. NaN with fewer than two seeds in a configuration or an
-    effect that is not known; infinite if a billion seeds are too few.
+    NaN with fewer than two seeds or an effect that is not known; infinite if a billion seeds are too few.
     """
     if min(len(mine), len(theirs)) < 2 or np.isnan(effect):
         return float("nan")

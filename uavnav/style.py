@@ -1,7 +1,6 @@
 """What figures share: their look, the colours of activations, marks, names, and how they are saved.
 
-A configuration's label is its algorithm, a space and its activation, then perhaps settings in brackets: `PPO
-tanh (lr=0.1)`. Colours are told apart by colour-blind readers too. Letters: S seeds of a configuration.
+A configuration's label is `PPO tanh`, perhaps with settings in brackets. Letters: S seeds.
 """
 
 from __future__ import annotations
@@ -94,9 +93,7 @@ class Drawn(NamedTuple):
 
 
 def save(figure: Figure) -> tuple[bytes, bytes]:
-    """SVG and PNG, the same bytes on every call; a PNG without a map has 256 colours, for a third of the
-    bytes.
-    """
+    """SVG and PNG, the same bytes on every call; a PNG without a map has 256 colours."""
     svg, drawn, png = drawing(figure), io.BytesIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(drawn, format="png", metadata={"Software": None})
@@ -194,9 +191,7 @@ def mark(marker: str, label: str, **look: Any) -> Line2D:
 
 
 def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interval | None = None) -> Interval:
-    """A configuration's seeds [S], their mean and its interval, in one row of a chart; known: the mean
-    that a table contains.
-    """
+    """A configuration's seeds [S], their mean and its interval, in a row of a chart; known: the mean."""
     found = known or stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))
     spread = row + np.linspace(-0.14, 0.14, len(seeds)) if len(seeds) > 1 else [row] * len(seeds)
     axes.plot(
@@ -236,9 +231,7 @@ def looks(activations: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def of_pilots(pilots: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """A colour and a line for each label, by who flies (`colours`); a colour that comes again has another
-    line.
-    """
+    """A colour and a line for each label, by who flies; a colour that comes again has another line."""
     found, drawn = {}, Counter[str]()
     for label, colour in zip(pilots, colours.colours(pilots.values()), strict=True):
         found[label] = colour, LINES[drawn[colour] % len(LINES)]

@@ -88,10 +88,7 @@ def run(measurements: Sequence[Measurement], cache: Path, say: Callable[[str], N
 def measure(one: Measurement, arguments: Result, cache: Path, timeout: float = LONGEST) -> Result:
     """What the processes of a round found together: their rates are added, other numbers are averaged.
 
-    `peak` is the peak memory [GB] of each with those that it started.
-
-    Raises:
-        JobError: a library is missing, or a process failed or took longer than `timeout` seconds.
+    `peak` is the peak memory [GB] of each with those that it started. Raises a JobError.
     """
     if one.needs and importlib.util.find_spec(one.needs) is None:
         raise JobError(f"{LIBRARIES[one.needs]} is not installed: pip install -e '.[bench]'")

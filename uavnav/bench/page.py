@@ -1,7 +1,4 @@
-"""The page of benchmarks: a section each, every one with the date and the commit of its measurement.
-
-`page.md` contains the titles and texts.
-"""
+"""The page of benchmarks: a section each, with the date and the commit; `page.md` has titles and texts."""
 
 from __future__ import annotations
 

@@ -28,12 +28,10 @@ WARM = 2
 
 
 class Clock:
-    """Notes how far a run is, and says when the run was watched for long enough.
+    """Notes how far a run is, and says when it was watched for long enough.
 
-    Args:
-        launched: when the process was started [s since the epoch].
-        config: our settings of the algorithm, which say how many frames come before it learns.
-        seconds: how long to watch it learn, once it is warm.
+    launched: when the process was started [s since the epoch]; config: says how many frames come before it
+    learns; seconds: how long to watch it learn, once it is warm.
     """
 
     def __init__(self, launched: float, config: Any, seconds: float) -> None:
@@ -49,10 +47,7 @@ class Clock:
         return steady < 3 or self.marks[-1][1] - self.marks[WARM][1] < self.seconds
 
     def result(self) -> Result:
-        """Start-up until it learns, the steady rate, and the time of a run of `WHOLE` frames.
-
-        The first quarter of the marks is left out of the rate: things are compiled and grow warm.
-        """
+        """Start-up until it learns, the rate without its first quarter, and the time of `WHOLE` frames."""
         (first, began), (frames, ended) = self.marks[max(WARM, len(self.marks) // 4)], self.marks[-1]
         rate = (frames - first) / (ended - began)
         startup = ended - (frames - self.starts) / rate
@@ -145,11 +140,7 @@ class Counted(TorchDispatchMode):  # type: ignore[no-untyped-call]
 
 
 def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:
-    """The model of a library with the preset `vectorised`, for one environment; `beyond` is what differs from
-    it.
-
-    The preset has the libraries' own settings but for those named here.
-    """
+    """The model of a library with the preset `vectorised`, for one environment; `beyond` is what differs."""
     config = settings(algorithm)
     if library == SBX:
         activation = importlib.import_module("jax.nn").tanh

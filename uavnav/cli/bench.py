@@ -1,8 +1,6 @@
 """`uavnav bench`: the world, training and its peers, side by side on this machine, into one Markdown file.
 
-Rounds of measurements are interleaved; each is a fresh process with a fixed number of threads. The table of
-jobs is `uavnav.bench.plan`, the runner `uavnav.bench.jobs`. A run that is stopped writes what it has found by
-then.
+Rounds are interleaved; each measurement is a fresh process. A run that is stopped writes what it has found.
 """
 
 from __future__ import annotations

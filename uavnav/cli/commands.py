@@ -1,8 +1,6 @@
-"""The command line: every command with its arguments, known without torch, so that help and mistakes come at
-once.
+"""The command line: every command with its arguments, known without torch, so that help comes at once.
 
-`run` parses the words of a command, calls `main` of its module, and says in one line what went wrong. To add
-a command, add its function to `KINDS`, and write the module with a `main`.
+To add a command, add it to `KINDS`, and write the module with a `main`.
 """
 
 from __future__ import annotations
@@ -14,9 +12,9 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import BY_DEFAULT, LONGER, OUT, SCRATCH
@@ -35,9 +33,6 @@ from uavnav.tasks.protocol import (
     TASK_NAMES,
 )
 
-TASKS = ", ".join(TASK_NAMES)
-
-RUN = f"a run's folder, a policy that ships (ppo-tanh), a Stable-Baselines3 .zip, or {', '.join(SCRIPTS)}"
 RUN_COLUMNS = (
     "run",
     "algorithm",
@@ -54,7 +49,7 @@ RUN_COLUMNS = (
 """What `uavnav runs` says of a run and sorts by; its table shows less."""
 
 
-TRAIN = ("train", "study", "verify")
+TRAINING = ("train", "study", "verify")
 """Commands in which a ValueError without a line for users is a bug, and keeps its traceback."""
 
 
@@ -79,14 +74,14 @@ def run(name: str, words: Sequence[str], **how: Any) -> int:
         if error.status != 2:  # it was stopped
             print(error, file=sys.stderr)
         else:
-            complain(name, error if name in TRAIN[:2] else _as_option(error))
+            complain(name, error if name in TRAINING[:2] else _as_option(error))
         return error.status
     except OSError as error:
         complain(name, error)
     except (ValueError, MemoryError, RuntimeError) as error:
         if isinstance(error, MemoryError) or "allocate memory" in str(error):  # as torch says it
             complain(name, f"the machine's memory is too small for this ({error})")
-        elif isinstance(error, ValueError) and name not in TRAIN:
+        elif isinstance(error, ValueError) and name not in TRAINING:
             complain(name, _as_option(error))
         else:
             raise
@@ -110,20 +105,18 @@ def _as_option(error: Exception) -> str:
 
 
 def parse(name: str, words: Sequence[str]) -> argparse.Namespace:
-    """The arguments of a command; where they are wrong, or ask for help, the process ends with one line
-    or the help.
-    """
+    """The arguments of a command; wrong ones, and those that ask for help, end the process."""
     warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {one_line(message)}\n"
     parser = Parser(
         prog=f"uavnav {name}",
-        description=COMMANDS[name].__doc__,
+        description=COMMANDS[name].what,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,  # a slip is no other word for an option
     )
     for word in words:
         if re.fullmatch(r"-[^=]*=--", word):  # argparse takes it for an empty list
             parser.error(f"{word}: give a value")
-    COMMANDS[name](parser)
+    COMMANDS[name].add_to(parser)
     if name == "train":
         return _settings(parser, words)
     found: argparse.Namespace = parser.parse_args(words)
@@ -135,7 +128,7 @@ def overview() -> str:
     width = max(map(len, COMMANDS))
     lines = []
     for kind, (example, own) in KINDS.items():
-        lines += [f"{kind}:", *(f"  {name:{width}}  {add.__doc__}" for name, add in own.items())]
+        lines += [f"{kind}:", *(f"  {name:{width}}  {one.what}" for name, one in own.items())]
         lines += [f"  {'':{width}}    {example}", ""]
     return "\n".join(
         [*lines, "uavnav COMMAND --help says more of each; uavnav --version says which version this is."]
@@ -148,21 +141,11 @@ USUAL = {"preset": "vectorised", "activation": "tanh"}
 """What names the default folder of a run, where it is not given."""
 
 
-def _train(parser: Parser) -> None:
-    """Train an algorithm to fly the drone and compare it with the paper."""
-    parser.add_argument("words", nargs="*")
-    parser.add_argument("--multirun", "-m", action="store_true")
-    parser.add_argument("--cfg", "-c", choices=["job"])
-    for flag in ("--quiet", "--json"):
-        parser.add_argument(flag, action="store_true")
-
-
 def _settings(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """An algorithm, settings and flags, in any order.
 
     The result has `algorithm`, `settings` (each key=value), `plugins`, `multirun`, `cfg`, `quiet`, `json` and
-    `help`: that is true where plugins add to the choices, or a task has a world of its own, which only their
-    modules know.
+    `help`, which is true where plugins or a task's module must be asked.
     """
     asked = {"-h", "--help"}
     found, strange = parser.parse_known_intermixed_args([word for word in words if word not in asked])
@@ -188,18 +171,14 @@ def _settings(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def names_in(settings: Sequence[str], key: str) -> list[str]:
-    """The names in `key=name` or `key=[one,other]` among the settings of a command line, which may begin
-    with a +.
-    """
+    """The names in `key=name` or `key=[one,other]` among settings, which may begin with a +."""
     values = [word.partition("=")[2] for word in settings if word.lstrip("+").startswith(f"{key}=")]
     names = [name.strip() for value in values for name in value.strip("[]").split(",")]
     return [name for name in names if name and name != "null"]
 
 
 def needs(algorithm: str, settings: Sequence[str]) -> str:
-    """The end of a message: which plugins the run of a command line was begun with and lacks now; often
-    empty.
-    """
+    """The end of a message: plugins that the run of a command line had and lacks now; often empty."""
     from uavnav.runs import default_folder, read_settings
     from uavnav.runs.tables import RunError
 
@@ -234,7 +213,7 @@ def _algorithms() -> str:
     lines = [
         "usage: uavnav train ALGORITHM [KEY=VALUE ...] [-m] [--cfg job] [--quiet] [--json]",
         "",
-        f"{_train.__doc__}",
+        f"{TRAIN.what}",
         "",
     ]
     for name in ALGORITHMS:
@@ -246,206 +225,6 @@ def _algorithms() -> str:
         "An algorithm of your own: plugins=my_module",
     ]
     return "\n".join(lines) + "\n"
-
-
-# -- the others ----------------------------------------------------------------------------------------------
-
-
-def _evaluate(parser: Parser) -> None:
-    """Evaluate runs, scripted policies or zips of Stable-Baselines3 on the test split: a row per episode."""
-    parser.epilog = "example: uavnav evaluate runs/ppo-vectorised/relu reactive --episodes 200"
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
-    parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"layouts (default: {EPISODES})")
-    told = (
-        f"time limit (default: {MAX_STEPS:,}, across ladders and tasks {ACROSS_STEPS:,}, or the task's "
-        "own if less)"
-    )
-    parser.add_argument("--max-steps", type=whole, help=told)
-    _which_layouts(parser)
-    _task(parser)
-    _faults(parser)
-    told = "fly the policies kept after this share of training, such as 0.1 (see the setting keep_at)"
-    parser.add_argument("--at", type=float, metavar="SHARE", help=told)
-    told = f"evaluate on every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
-    told = "with --across: only the runs, sampled, without scripted policies and a figure"
-    parser.add_argument("--alone", action="store_true", help=told)
-    told = "evaluate each instead in every task that one of the runs was trained in, and draw the matrix"
-    where.add_argument("--transfer", action="store_true", help=told)
-    _activation(parser)
-    told = f"so many seeds of {DRAWS}, each on every layout (default: 1)"
-    parser.add_argument("--seeds", type=whole, default=1, metavar="N", help=told)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="keep rows of what is no run there; a report looks in its baselines/",
-    )
-    _output(parser, "--json", "--quiet")
-    _plugins(parser)
-
-
-def _runs(parser: Parser) -> None:
-    """List the runs of some folders: what each is, how far it is, and what it reached."""
-    parser.epilog = "example: uavnav runs results --sort reward_sampled"
-    parser.add_argument(
-        "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs if it is there, else results)"
-    )
-    parser.add_argument(
-        "--sort", choices=RUN_COLUMNS, metavar="COLUMN", help=f"by one of {', '.join(RUN_COLUMNS)}"
-    )
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument("--watch", action="store_true", help="renew the list every 2 seconds, until Ctrl-C")
-    how.add_argument("--json", action="store_true", help="print all that is known as JSON, and nothing else")
-
-
-def _play(parser: Parser) -> None:
-    """Watch runs fly in the browser, or fly yourself: writes the playground and opens it."""
-    parser.epilog = "example: uavnav play runs/ppo-vectorised/relu reactive --layout 20"
-    usual = "(default: runs if it has any, else the policies that ship)"
-    parser.add_argument("runs", nargs="*", metavar="RUN", help=f"a folder of runs, {RUN} {usual}")
-    _episode(parser)
-    told = f"time limit (default: {MAX_STEPS:,}, or the task's own if less)"
-    parser.add_argument("--max-steps", type=whole, help=told)
-    parser.add_argument("--out", type=Path, metavar="FILE", help=_PAGE.format("a temporary file"))
-    told = "add the episodes in a file that K of the page saved to those that uavnav report runs shows"
-    parser.add_argument("--keep", type=Path, metavar="FILE", help=told)
-    parser.add_argument(
-        "--person", type=whole, default=0, help="with --keep: who flew them, the rows' seed (default: 0)"
-    )
-
-
-def _playground(parser: Parser) -> None:
-    """Write playground.html: fly the drone in a browser, against trained policies and a scripted policy."""
-    parser.epilog = "example: uavnav playground runs --out playground.html"
-    told = "a run, or runs with policies below (default: runs if it has any, else the policies that ship)"
-    parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help=told)
-    parser.add_argument("--out", type=Path, metavar="FILE", help=_PAGE.format("playground.html"))
-    _plugins(parser)
-
-
-_PAGE = "the page (default: runs/playground.html where runs is there, else {})"
-
-
-def _render(parser: Parser) -> None:
-    """Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    parser.epilog = "example: uavnav render runs/ppo-vectorised/relu reactive --out flight.gif"
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("flight.gif"),
-        help="an .mp4, .gif or .png file (default: flight.gif)",
-    )
-    _episode(parser)
-    _faults(parser)
-    parser.add_argument("--steps", type=whole, default=500, help="steps at most (default: 500)")
-    parser.add_argument(
-        "--every", type=whole, default=1, help="steps from one picture to the next (default: 1)"
-    )
-    parser.add_argument(
-        "--speed", type=float, default=1.0, help="times as fast as in the window (default: 1)"
-    )
-    parser.add_argument(
-        "--width",
-        type=whole,
-        default=480,
-        help="width of one episode [px] (default: 480); an MP4 is padded to even sizes",
-    )
-
-
-def _study(parser: Parser) -> None:
-    """Train, evaluate and report the configurations of a study, on this machine or on a cluster."""
-    studies = sorted(path.stem for path in (Path(__file__).parent.parent / "studies").glob("*.yaml"))
-    parser.epilog = "example: uavnav study paper engine=slurm seeds=40 out=/shared/paper"
-    parser.add_argument("name", metavar="NAME", help=f"{', '.join(studies)}, or a yaml file of your own")
-    parser.add_argument(
-        "settings", nargs="*", default=[], metavar="KEY=VALUE", help="; ".join(STUDY_KEYS.values())
-    )
-    parser.add_argument(
-        "--status", action="store_true", help="say which configurations are finished, under way, missing"
-    )
-    parser.add_argument("--json", action="store_true", help="the status as JSON")
-    parser.add_argument("--quiet", action="store_true", help="show no progress")
-
-
-def _compare(parser: Parser) -> None:
-    """Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves."""
-    parser.epilog = "example: uavnav compare runs/ppo-fast/relu runs/dqn-fast/relu reactive"
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
-    _activation(parser)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="a page, compare.html")
-    _output(parser, "--json")
-    _plugins(parser)
-
-
-def _report(parser: Parser) -> None:
-    """Write report.html: your runs against the scripted policy, or the paper's claims, figures, replays."""
-    parser.epilog = "example: uavnav report runs --watch"
-    parser.add_argument(
-        "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs, or results where there is none)"
-    )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        help="where the report goes (default: the first FOLDER; without one runs, or report where only"
-        " results is there)",
-    )
-    parser.add_argument("--watch", action="store_true", help="renew the page while runs train, until Ctrl-C")
-    _plugins(parser)
-
-
-def _verify(parser: Parser) -> None:
-    """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
-    parser.epilog = "example: uavnav verify runs/ppo-vectorised/relu --frames 20000"
-    parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
-    parser.add_argument("--frames", type=whole, help="repeat only the first so many frames per seed")
-    _plugins(parser)
-
-
-def _bench(parser: Parser) -> None:
-    """Measure the environment, training and its peers on this machine, in about an hour."""
-    parser.epilog = "example: uavnav bench --quick"
-    parser.add_argument("--quick", action="store_true", help="a first impression, in 3 to 5 minutes")
-    sections = (*BY_DEFAULT, *LONGER)
-    told = f"of {', '.join(sections)} (default: {', '.join(BY_DEFAULT)})"
-    parser.add_argument("--only", nargs="+", choices=sections, metavar="SECTION", help=told)
-    parser.add_argument(
-        "--out", type=Path, help=f"the file (default: {OUT}; with --quick {SCRATCH / 'quick.md'})"
-    )
-
-
-def _export(parser: Parser) -> None:
-    """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    parser.epilog = "example: uavnav export runs/ppo-vectorised/relu --out policy.onnx"
-    parser.add_argument(
-        "run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3"
-    )
-    parser.add_argument("--seed", type=whole, help="which training seed (default: the first)")
-    _activation(parser)
-    parser.add_argument("--out", required=True, metavar="FILE", help="policy.onnx or policy.pt2")
-    _plugins(parser)
-
-
-def _layouts(parser: Parser) -> None:
-    """Generate layout files, or check that files are what their headers say."""
-    sizes = ", ".join(f"{split.n:,} {name}" for name, split in SPLITS.items())
-    seeds = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
-    parser.epilog = "example: uavnav layouts --split train --k 12"
-    parser.add_argument(
-        "--out", type=Path, default=Path("layouts"), help="folder for the files (default: layouts)"
-    )
-    parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which split to write")
-    parser.add_argument("--task", default="drone", help=f"whose obstacles: {TASKS} (default: drone)")
-    parser.add_argument(
-        "--k", type=whole, help=f"obstacles per layout, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
-    )
-    parser.add_argument("--n", type=whole, help=f"layouts in the split (default: {sizes})")
-    parser.add_argument("--seed", type=whole, help=f"generator seed (default: {seeds})")
-    parser.add_argument(
-        "--check", nargs="+", metavar="FILE", help="regenerate these from their headers and compare"
-    )
 
 
 STUDY_KEYS = {
@@ -466,79 +245,322 @@ STUDY_KEYS = {
 """What each key of a study means."""
 
 
-# -- what several have ---------------------------------------------------------------------------------------
+# -- the arguments of each command ---------------------------------------------------------------------------
 
 
-def _episode(parser: Parser) -> None:
-    """What every command that shows episodes asks: which seed, how, and where."""
-    parser.add_argument("--seed", type=whole, help="training seed (default: each run's first)")
-    greedy = (
-        "take the best action always, instead of acting as in training (sampled, or with the final epsilon)"
-    )
-    parser.add_argument("--greedy", action="store_true", help=greedy)
-    _activation(parser)
-    _which_layouts(parser)
-    _task(parser)
-    parser.add_argument("--layout", type=whole, default=0, help="index of the layout (default: 0)")
-    _plugins(parser)
+class Option(NamedTuple):
+    """An argument of a command, as argparse takes it."""
+
+    names: tuple[str, ...]
+    how: dict[str, Any]
 
 
-def _which_layouts(parser: Parser) -> None:
-    parser.add_argument(
-        "--layouts",
-        default="test",
-        help=f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path (default: test)",
-    )
+class Usage(NamedTuple):
+    """A command; of options in a list of their own at most one is given."""
+
+    what: str
+    example: str
+    options: Sequence[Option | list[Option]]
+
+    def add_to(self, parser: Parser) -> None:
+        """Give a parser the arguments."""
+        parser.epilog = f"example: uavnav {self.example}" if self.example else None
+        for one in self.options:
+            place = parser.add_mutually_exclusive_group() if isinstance(one, list) else parser
+            for option in one if isinstance(one, list) else [one]:
+                place.add_argument(*option.names, **option.how)
 
 
-def _task(parser: Parser) -> None:
-    told = f"that scripted policies fly in: {TASKS} (default: that of the run, or drone)"
-    parser.add_argument("--task", default="drone", help=told)
+def _flag(name: str, told: str) -> Option:
+    return Option((name,), {"action": "store_true", "help": told})
 
 
-def _faults(parser: Parser) -> None:
-    told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
-    parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
+def _value(name: str, told: str | None = None, **how: Any) -> Option:
+    return Option((name,), {"help": told, **how})
 
 
-def _activation(parser: Parser) -> None:
-    parser.add_argument("--activation", help="of a .zip's hidden layers, where it does not say it itself")
+def _modules(names: str) -> list[str]:
+    return [name.strip() for name in names.split(",")]
 
 
-def _output(parser: Parser, *flags: str) -> None:
-    says = {"--json": "print the table as JSON, and nothing else", "--quiet": "print nothing but errors"}
-    for flag in flags:
-        parser.add_argument(flag, action="store_true", help=says[flag])
+TASKS = ", ".join(TASK_NAMES)
+RUN = f"a run's folder, a policy that ships (ppo-tanh), a Stable-Baselines3 .zip, or {', '.join(SCRIPTS)}"
+NO_RUNS = "(default: runs if it has any, else the policies that ship)"
+LADDERS = (*LADDER_NAMES, *GROUPS)
+SECTIONS = (*BY_DEFAULT, *LONGER)
+STUDIES = sorted(path.stem for path in (Path(__file__).parent.parent / "studies").glob("*.yaml"))
+PAGE = "the page (default: runs/playground.html where runs is there, else {})"
+SIZES = ", ".join(f"{split.n:,} {name}" for name, split in SPLITS.items())
+SEEDS = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
 
-
-def _plugins(parser: Parser) -> None:
-    """`--plugins`, which `run` imports."""
-    parser.add_argument(
-        "--plugins",
-        type=lambda names: [name.strip() for name in names.split(",")],
-        default=[],
-        metavar="NAME,...",
-        help="modules of your own that a run was made with; they are imported",
-    )
-
-
-KINDS: dict[str, tuple[str, dict[str, Callable[[Parser], None]]]] = {
-    "Train": (
-        "uavnav train ppo preset=fast out=runs/first",
-        {"train": _train, "study": _study, "runs": _runs},
+ACTIVATION = _value("--activation", "of a .zip's hidden layers, where it does not say it itself")
+WHICH_LAYOUTS = _value(
+    "--layouts",
+    f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path (default: test)",
+    default="test",
+)
+TASK = _value(
+    "--task",
+    f"that scripted policies fly in: {TASKS} (default: that of the run, or drone)",
+    default="drone",
+)
+FAULTS = _value(
+    "--faults",
+    "fly with these faults, or with none, instead of those of training, such as noise=5,late=2",
+    metavar="FAULT=NUMBER,...",
+)
+JSON = _flag("--json", "print the table as JSON, and nothing else")
+PLUGINS = _value(
+    "--plugins",
+    "modules of your own that a run was made with; they are imported",
+    type=_modules,
+    default=[],
+    metavar="NAME,...",
+)
+EPISODE = (
+    _value("--seed", "training seed (default: each run's first)", type=whole),
+    _flag(
+        "--greedy",
+        "take the best action always, instead of acting as in training (sampled, or with the final epsilon)",
     ),
+    ACTIVATION,
+    WHICH_LAYOUTS,
+    TASK,
+    _value("--layout", "index of the layout (default: 0)", type=whole, default=0),
+    PLUGINS,
+)
+"""What every command that shows episodes asks: which seed, how, and where."""
+
+TRAIN = Usage(
+    "Train an algorithm to fly the drone and compare it with the paper.",
+    "",
+    [
+        _value("words", nargs="*"),
+        Option(("--multirun", "-m"), {"action": "store_true"}),
+        Option(("--cfg", "-c"), {"choices": ["job"]}),
+        *(_value(flag, action="store_true") for flag in ("--quiet", "--json")),
+    ],
+)
+STUDY = Usage(
+    "Train, evaluate and report the configurations of a study, on this machine or on a cluster.",
+    "study paper engine=slurm seeds=40 out=/shared/paper",
+    [
+        _value("name", f"{', '.join(STUDIES)}, or a yaml file of your own", metavar="NAME"),
+        _value("settings", "; ".join(STUDY_KEYS.values()), nargs="*", default=[], metavar="KEY=VALUE"),
+        _flag("--status", "say which configurations are finished, under way, missing"),
+        _flag("--json", "the status as JSON"),
+        _flag("--quiet", "show no progress"),
+    ],
+)
+RUNS = Usage(
+    "List the runs of some folders: what each is, how far it is, and what it reached.",
+    "runs results --sort reward_sampled",
+    [
+        _value(
+            "folders", "of runs (default: runs if it is there, else results)", nargs="*", metavar="FOLDER"
+        ),
+        _value("--sort", f"by one of {', '.join(RUN_COLUMNS)}", choices=RUN_COLUMNS, metavar="COLUMN"),
+        [
+            _flag("--watch", "renew the list every 2 seconds, until Ctrl-C"),
+            _flag("--json", "print all that is known as JSON, and nothing else"),
+        ],
+    ],
+)
+EVALUATE = Usage(
+    "Evaluate runs, scripted policies or zips of Stable-Baselines3 on the test split: a row per episode.",
+    "evaluate runs/ppo-vectorised/relu reactive --episodes 200",
+    [
+        _value("runs", RUN, nargs="+", metavar="RUN"),
+        _value("--episodes", f"layouts (default: {EPISODES})", type=whole, default=EPISODES),
+        _value(
+            "--max-steps",
+            f"time limit (default: {MAX_STEPS:,}, across ladders and tasks {ACROSS_STEPS:,}, or the"
+            " task's own if less)",
+            type=whole,
+        ),
+        WHICH_LAYOUTS,
+        TASK,
+        FAULTS,
+        _value(
+            "--at",
+            "fly the policies kept after this share of training, such as 0.1 (see the setting keep_at)",
+            type=float,
+            metavar="SHARE",
+        ),
+        [
+            _value(
+                "--across",
+                f"evaluate on every rung of these instead: {', '.join(LADDERS)}",
+                nargs="+",
+                choices=LADDERS,
+                metavar="LADDER",
+            ),
+            _flag(
+                "--transfer",
+                "evaluate each instead in every task that one of the runs was trained in,"
+                " and draw the matrix",
+            ),
+        ],
+        _flag("--alone", "with --across: only the runs, sampled, without scripted policies and a figure"),
+        ACTIVATION,
+        _value(
+            "--seeds",
+            f"so many seeds of {DRAWS}, each on every layout (default: 1)",
+            type=whole,
+            default=1,
+            metavar="N",
+        ),
+        _value(
+            "--out",
+            "keep rows of what is no run there; a report looks in its baselines/",
+            type=Path,
+            metavar="DIR",
+        ),
+        JSON,
+        _flag("--quiet", "print nothing but errors"),
+        PLUGINS,
+    ],
+)
+PLAY = Usage(
+    "Watch runs fly in the browser, or fly yourself: writes the playground and opens it.",
+    "play runs/ppo-vectorised/relu reactive --layout 20",
+    [
+        _value("runs", f"a folder of runs, {RUN} {NO_RUNS}", nargs="*", metavar="RUN"),
+        *EPISODE,
+        _value("--max-steps", f"time limit (default: {MAX_STEPS:,}, or the task's own if less)", type=whole),
+        _value("--out", PAGE.format("a temporary file"), type=Path, metavar="FILE"),
+        _value(
+            "--keep",
+            "add the episodes in a file that K of the page saved to those that uavnav report runs shows",
+            type=Path,
+            metavar="FILE",
+        ),
+        _value("--person", "with --keep: who flew them, the rows' seed (default: 0)", type=whole, default=0),
+    ],
+)
+PLAYGROUND = Usage(
+    "Write playground.html: fly the drone in a browser, against trained policies and a scripted policy.",
+    "playground runs --out playground.html",
+    [
+        _value(
+            "folders", f"a run, or runs with policies below {NO_RUNS}", nargs="*", type=Path, metavar="FOLDER"
+        ),
+        _value("--out", PAGE.format("playground.html"), type=Path, metavar="FILE"),
+        PLUGINS,
+    ],
+)
+RENDER = Usage(
+    "Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG.",
+    "render runs/ppo-vectorised/relu reactive --out flight.gif",
+    [
+        _value("runs", RUN, nargs="+", metavar="RUN"),
+        _value(
+            "--out", "an .mp4, .gif or .png file (default: flight.gif)", type=Path, default=Path("flight.gif")
+        ),
+        *EPISODE,
+        FAULTS,
+        _value("--steps", "steps at most (default: 500)", type=whole, default=500),
+        _value("--every", "steps from one picture to the next (default: 1)", type=whole, default=1),
+        _value("--speed", "times as fast as in the window (default: 1)", type=float, default=1.0),
+        _value(
+            "--width",
+            "width of one episode [px] (default: 480); an MP4 is padded to even sizes",
+            type=whole,
+            default=480,
+        ),
+    ],
+)
+COMPARE = Usage(
+    "Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves.",
+    "compare runs/ppo-fast/relu runs/dqn-fast/relu reactive",
+    [
+        _value("runs", RUN, nargs="+", metavar="RUN"),
+        ACTIVATION,
+        _value("--out", "a page, compare.html", type=Path, metavar="FILE"),
+        JSON,
+        PLUGINS,
+    ],
+)
+REPORT = Usage(
+    "Write report.html: your runs against the scripted policy, or the paper's claims, figures, replays.",
+    "report runs --watch",
+    [
+        _value(
+            "folders", "of runs (default: runs, or results where there is none)", nargs="*", metavar="FOLDER"
+        ),
+        _value(
+            "--out",
+            "where the report goes (default: the first FOLDER; without one runs, or report where only"
+            " results is there)",
+            metavar="DIR",
+        ),
+        _flag("--watch", "renew the page while runs train, until Ctrl-C"),
+        PLUGINS,
+    ],
+)
+VERIFY = Usage(
+    "Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit.",
+    "verify runs/ppo-vectorised/relu --frames 20000",
+    [
+        _value("run", "a finished run's folder", type=Path, metavar="RUN"),
+        _value("--frames", "repeat only the first so many frames per seed", type=whole),
+        PLUGINS,
+    ],
+)
+BENCH = Usage(
+    "Measure the environment, training and its peers on this machine, in about an hour.",
+    "bench --quick",
+    [
+        _flag("--quick", "a first impression, in 3 to 5 minutes"),
+        _value(
+            "--only",
+            f"of {', '.join(SECTIONS)} (default: {', '.join(BY_DEFAULT)})",
+            nargs="+",
+            choices=SECTIONS,
+            metavar="SECTION",
+        ),
+        _value("--out", f"the file (default: {OUT}; with --quick {SCRATCH / 'quick.md'})", type=Path),
+    ],
+)
+EXPORT = Usage(
+    "Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2).",
+    "export runs/ppo-vectorised/relu --out policy.onnx",
+    [
+        _value("run", "a run's folder, its policy file, or a zip of Stable-Baselines3", metavar="RUN"),
+        _value("--seed", "which training seed (default: the first)", type=whole),
+        ACTIVATION,
+        _value("--out", "policy.onnx or policy.pt2", required=True, metavar="FILE"),
+        PLUGINS,
+    ],
+)
+LAYOUTS = Usage(
+    "Generate layout files, or check that files are what their headers say.",
+    "layouts --split train --k 12",
+    [
+        _value("--out", "folder for the files (default: layouts)", type=Path, default=Path("layouts")),
+        _value("--split", "which split to write", choices=[*SPLITS, "all"], default="all"),
+        _value("--task", f"whose obstacles: {TASKS} (default: drone)", default="drone"),
+        _value(
+            "--k", f"obstacles per layout, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)", type=whole
+        ),
+        _value("--n", f"layouts in the split (default: {SIZES})", type=whole),
+        _value("--seed", f"generator seed (default: {SEEDS})", type=whole),
+        _value("--check", "regenerate these from their headers and compare", nargs="+", metavar="FILE"),
+    ],
+)
+
+KINDS: dict[str, tuple[str, dict[str, Usage]]] = {
+    "Train": ("uavnav train ppo preset=fast out=runs/first", {"train": TRAIN, "study": STUDY, "runs": RUNS}),
     "Look": (
         "uavnav render reactive random --layout 20 --out flight.gif",
-        {"evaluate": _evaluate, "play": _play, "playground": _playground, "render": _render},
+        {"evaluate": EVALUATE, "play": PLAY, "playground": PLAYGROUND, "render": RENDER},
     ),
     "Compare": (
         "uavnav compare runs/first reactive",
-        {"compare": _compare, "report": _report, "verify": _verify, "bench": _bench},
+        {"compare": COMPARE, "report": REPORT, "verify": VERIFY, "bench": BENCH},
     ),
-    "Share": ("uavnav export runs/first --out policy.pt2", {"export": _export, "layouts": _layouts}),
+    "Share": ("uavnav export runs/first --out policy.pt2", {"export": EXPORT, "layouts": LAYOUTS}),
 }
-"""Commands by what one does with them, with an example: the function that adds its arguments says what
-each does.
-"""
-COMMANDS = {name: add for _, own in KINDS.values() for name, add in own.items()}
+"""Commands by what one does with them, and an example."""
+COMMANDS = {name: one for _, own in KINDS.values() for name, one in own.items()}
 """By name. The module of each is `uavnav.cli.<name>`."""

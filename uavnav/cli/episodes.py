@@ -1,6 +1,4 @@
-"""The process of an evaluation that a study has started: `uavnav evaluate`, with a heartbeat in the run's
-folder.
-"""
+"""The process of an evaluation that a study started: `uavnav evaluate`, with a heartbeat."""
 
 from __future__ import annotations
 
@@ -15,9 +13,7 @@ from uavnav.training.heartbeat import Heartbeat
 
 
 def main(argv: Sequence[str]) -> None:
-    """argv: the file that is to tell how this ended, and the words of `uavnav evaluate`, a run's folder
-    first.
-    """
+    """argv: the file that tells how this ended, and the words of `uavnav evaluate`, a run's folder first."""
     ended, *words = argv
     status: object = 1
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
-from uavnav.evaluation.across import Flyer, across, of_run
+from uavnav.evaluation.across import Flyer, across, of_policy, of_run
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies, shipped
@@ -29,14 +29,8 @@ MOST_SEEDS = 1_000
 
 def _found(name: str, arguments: Namespace) -> Run | Flyer:
     """A run, a zip, a policy that ships or a scripted policy."""
-    if name in BASELINES:
-        seeds = range(arguments.seeds if name == DRAWS else 1)
-        return Flyer(name, {"scripted": dict.fromkeys(seeds, BASELINES[name])})
-    if policies.is_zip(name):
-        zipped = policies.load_policy(name, activation=arguments.activation)
-        return Flyer(name, policies.by_mode({0: zipped}))
-    if shipped.is_shipped(name):
-        return Flyer(name, policies.by_mode(policies.load_policies(name)))
+    if name in BASELINES or policies.is_zip(name) or shipped.is_shipped(name):
+        return of_policy(name, arguments.activation, arguments.seeds if name == DRAWS else 1)
     try:
         return Run(name)
     except RunError as error:
@@ -59,14 +53,14 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
     if arguments.at is not None and (elsewhere or not all(isinstance(one, Run) for one in found.values())):
         raise ConfigError(f"--at {arguments.at:g}: only runs keep policies, for one split; leave it out")
     if elsewhere and arguments.faults is not None:
-        raise ConfigError(
-            f"--faults {arguments.faults}: ladders and tasks of training have their own; leave it out"
-        )
+        told = "ladders and tasks of training have their own"
+        raise ConfigError(f"--faults {arguments.faults}: {told}; leave it out")
     if elsewhere and arguments.layouts != "test":
         told = "--across and --transfer fly on test layouts of their own"
         raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
     if arguments.transfer and arguments.task != "drone":
-        raise ConfigError(f"--task {arguments.task}: --transfer flies in the tasks of the runs; leave it out")
+        told = "--transfer flies in the tasks of the runs"
+        raise ConfigError(f"--task {arguments.task}: {told}; leave it out")
 
 
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
@@ -91,20 +85,11 @@ def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
 
 
 def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool) -> dict[str, object]:
-    """Evaluate what is named on the layouts of one split, keep its rows and show them; returns them for
-    JSON.
-    """
+    """Evaluate on the layouts of one split, keep the rows and show them; returns them for JSON."""
     protocol = _protocol(found, arguments)
     if isinstance(found, Run):
-        rows = evaluate_run(
-            found,
-            protocol.episodes,
-            protocol.max_steps,
-            protocol.layouts,
-            quiet,
-            protocol.faults,
-            protocol.at,
-        )
+        bounds = protocol.episodes, protocol.max_steps, protocol.layouts
+        rows = evaluate_run(found, *bounds, quiet, protocol.faults, protocol.at)
         kept = [found.path / protocol.file("evaluation")]
         shown: str | Run = found
     else:

@@ -59,10 +59,7 @@ def has_screen() -> bool:
 def keep(path: Path, person: int) -> str:
     """Add the episodes of a file that the page saved to those of `ROWS`; says how many there are.
 
-    person: who flew them, the rows' seed.
-
-    Raises:
-        RunError: the file is none of the page's, or the rows cannot be written.
+    person: the rows' seed. Raises a RunError where the file is none of the page's.
     """
     rows = read_csv(path, EPISODE_COLUMNS, "give human.csv, which K of the playground saves")
     counts = rows[["steps", "stops", "full_stops", "turns", "distance"]]

@@ -25,10 +25,7 @@ def main(arguments: Namespace) -> int:
 
 
 def where(otherwise: Path | None = None) -> Path:
-    """The page's file if none is given: in `runs` where that is there, and never in a tracked folder.
-
-    otherwise: where there are no runs; by default a new folder for temporary files.
-    """
+    """The page's file if none is given: in `runs`, or else `otherwise`, or else in a new temporary folder."""
     if Path("runs").is_dir():
         return Path("runs") / NAME
     return otherwise or Path(tempfile.mkdtemp(prefix="uavnav-")) / NAME

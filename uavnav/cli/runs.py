@@ -22,15 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from uavnav.errors import complain
-from uavnav.runs import (
-    FINISHED,
-    heard,
-    progress,
-    read_settings,
-    run_folders,
-    saved_frames,
-    shipped,
-)
+from uavnav.runs import FINISHED, heard, progress, read_settings, run_folders, saved_frames, shipped
 from uavnav.runs.evaluations import usual
 from uavnav.runs.lately import Lately, line, span
 from uavnav.runs.metrics import MODES
@@ -58,8 +50,7 @@ STATES = {FINISHED: "finished", "failed": "failed"}
 def row(path: Path, now: float) -> dict[str, Any]:
     """What is said of a run: `RUN_COLUMNS`, `total` frames, and while it trains its pace and `lately`.
 
-    Frames are per seed: so far, or those that are saved of a run that was stopped. Rewards are means over the
-    run's own evaluation. Raises a RunError where its files are no run's.
+    Frames are per seed: so far, or saved by a run that was stopped. Raises a RunError.
     """
     config = read_settings(path / "config.yaml")
     if "total_frames" not in config:
@@ -108,11 +99,7 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
             column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()
         }
         return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
-    except (
-        OSError,
-        ValueError,
-        NotImplementedError,
-    ):
+    except (OSError, ValueError, NotImplementedError):
         # there is none, or it is damaged, or its rewards are words
         return dict.fromkeys(MEANS)
 
@@ -141,9 +128,7 @@ def thousands(frames: int) -> str:
 
 
 def order(column: str) -> Callable[[Mapping[str, Any]], tuple[bool, Any]]:
-    """What to sort by: frames and rewards from the largest, all else from the first; what is not known
-    comes last.
-    """
+    """The key to sort by: frames and rewards fall, all else rises; what is not known comes last."""
 
     def key(one: Mapping[str, Any]) -> tuple[bool, Any]:
         value = one[column]
@@ -170,10 +155,7 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
 
 
 def found(given: Namespace, tell: bool) -> list[dict[str, Any]]:
-    """What is said of every run in the folders given, or of one's own and those that ship.
-
-    tell: say which are left out.
-    """
+    """What is said of every run in the folders given, or of one's own and those that ship."""
     own = [name for name in ("runs", "results") if Path(name).is_dir()]
     folders = given.folders or own[:1]
     now, rows = time.time(), list[dict[str, Any]]()

@@ -1,6 +1,4 @@
-"""The command `uavnav study`: train, evaluate and report many configurations, on this machine or on a
-cluster.
-"""
+"""The command `uavnav study`: train, evaluate and report many configurations."""
 
 from __future__ import annotations
 
@@ -55,11 +53,7 @@ class Keys(Settings):
 
 
 def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
-    """The settings in `key=value` words, and those that are the engine's.
-
-    Raises:
-        ConfigError: a word is no setting, or a value is not right.
-    """
+    """The settings in `key=value` words, and those that are the engine's; raises a ConfigError."""
     given = {}
     for word in words:
         name, equals, value = word.partition("=")
@@ -79,31 +73,22 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
 
 def status(configuration: Configuration) -> dict[str, Any]:
     """What there is of a configuration: `state`, and the frames per seed of one that is under way."""
-    facts: dict[str, Any] = {
-        "configuration": str(configuration.out),
-        "seeds": configuration.config.n_seeds,
-        "frames": 0,
-        "of": configuration.config.frames,
-    }
-    if (configuration.out / "config.yaml").exists():
+    out, config = configuration.out, configuration.config
+    facts: dict[str, Any] = {"configuration": str(out), "seeds": config.n_seeds, "frames": 0}
+    facts["of"] = config.frames
+    if (out / "config.yaml").exists():
         try:
-            Recorder(configuration.out, configuration.config)
+            Recorder(out, config)
         except LayoutError:
             pass  # a study makes its layouts when it begins
         except RunError as error:
             return facts | {"state": f"in the way ({error})"}
     if trained(configuration):
-        return facts | {
-            "frames": configuration.config.frames,
-            "state": "finished" if evaluated(configuration) else "not evaluated",
-        }
-    told = progress(configuration.out)
-    if heard(told, time.time()):
-        return facts | {"frames": told["frames"], "state": "under way"}
-    return facts | {
-        "frames": told.get("frames", 0),
-        "state": "stopped" if configuration.out.exists() else "missing",
-    }
+        state = "finished" if evaluated(configuration) else "not evaluated"
+        return facts | {"frames": config.frames, "state": state}
+    told = progress(out)
+    state = "under way" if heard(told, time.time()) else "stopped" if out.exists() else "missing"
+    return facts | {"frames": told.get("frames", 0), "state": state}
 
 
 class Show:
@@ -127,11 +112,8 @@ class Show:
 
     def tell(self, works: Sequence[Work]) -> None:
         """works: all configurations that were not finished when the study began."""
-        now, frames, rate = (
-            time.monotonic(),
-            sum(work.frames for work in works),
-            sum(work.rate for work in works),
-        )
+        now, frames = time.monotonic(), sum(work.frames for work in works)
+        rate = sum(work.rate for work in works)
         total = sum(work.total for work in works if work.workers)
         left = f", {(total - frames) / rate / 60:,.0f} min left" if rate else ""
         head = (
@@ -144,11 +126,8 @@ class Show:
                 table.add_column(name, justify="left" if name == "configuration" else "right")
             for work in works:
                 if work.frames and not all(worker.done for worker in work.workers):
-                    done = sum(worker.done for worker in work.workers)
-                    each = (
-                        f"{work.frames // work.configuration.config.n_seeds:,} of "
-                        f"{work.configuration.config.frames:,}"
-                    )
+                    config, done = work.configuration.config, sum(worker.done for worker in work.workers)
+                    each = f"{work.frames // config.n_seeds:,} of {config.frames:,}"
                     table.add_row(str(work.configuration.out), f"{done} of {len(work.workers)}", each)
             self._live.update(table, refresh=True)
         elif now - self._said >= LINE_SECONDS:
@@ -174,12 +153,9 @@ def main(arguments: Namespace) -> int:
         known = (
             drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
         )
-        rows = [status(configuration) for configuration in known]
+        rows = [status(one) for one in known]
         if (plan := search.plan(study, out, own.trials, *given)) is not None:
-            rows += [
-                status(configuration) | ({"state": state} if state else {})
-                for configuration, state in search.planned(plan)
-            ]
+            rows += [status(one) | ({"state": state} if state else {}) for one, state in search.planned(plan)]
         _print_status(rows, arguments.json)
         return 0
     engine = engines.build(own.engine, of_engine, Keys.names())
@@ -192,15 +168,8 @@ def main(arguments: Namespace) -> int:
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
-            run = Runner(
-                out.resolve(),
-                configurations,
-                engine,
-                own.seeds_per_worker,
-                **how,
-                tell=show.tell,
-                say=show.say,
-            )
+            how |= {"tell": show.tell, "say": show.say}
+            run = Runner(out.resolve(), configurations, engine, own.seeds_per_worker, **how)
             show.say(
                 f"{study.name}: {study.what}; {len(run.works)} of {len(configurations)} configurations are "
                 f"left, into {out}"
@@ -257,11 +226,8 @@ def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
         return
     width = max(len(row["configuration"]) for row in rows)
     for row in rows:
-        far = (
-            f"  {row['frames']:,} of {row['of']:,} frames per seed"
-            if row["state"] in ("under way", "stopped")
-            else ""
-        )
+        begun = row["state"] in ("under way", "stopped")
+        far = f"  {row['frames']:,} of {row['of']:,} frames per seed" if begun else ""
         print(f"{row['configuration']:{width}}  {row['state']}{far}")
     states = [row["state"] for row in rows]
     print(", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)))

@@ -1,6 +1,4 @@
-"""How a command ends that is stopped, or whose output nobody reads on: in one line at most, without a
-traceback.
-"""
+"""A command that is stopped, or whose output nobody reads on, ends in one line without a traceback."""
 
 from __future__ import annotations
 

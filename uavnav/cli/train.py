@@ -1,6 +1,4 @@
-"""From a command line to training runs: what `key=value` words set, and a run for each of their
-combinations.
-"""
+"""From a command line to training runs: one for each combination of what `key=value` words set."""
 
 from __future__ import annotations
 
@@ -98,7 +96,8 @@ def main(given: Namespace, fit: Fit = alone) -> int:
             return 0
         orders = [_order(kind, settings) for settings in _sweep(given.settings, given.multirun)]
         if given.cfg:
-            print("---\n".join(yaml.safe_dump(_settings(one), sort_keys=False) for one in orders), end="")
+            said = (plain(one.config) | one.command.model_dump() for one in orders)
+            print("---\n".join(yaml.safe_dump(one, sort_keys=False) for one in said), end="")
             return 0
         _check(orders)
         finished = []
@@ -121,9 +120,7 @@ def main(given: Namespace, fit: Fit = alone) -> int:
 
 
 def _world(settings: Sequence[str]) -> type[World]:
-    """The world of the task that a command line names; the paper's for several tasks, or one that there
-    is not.
-    """
+    """The world of the task that a command line names; the paper's where it names none or several."""
     tasks = commands.names_in(settings, "task")
     return TASKS[tasks[0] if len(tasks) == 1 and tasks[0] in TASKS else TASK].WORLD
 
@@ -140,10 +137,9 @@ def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
     several = [name for name, found in values.items() if len(found) > 1]
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
-    if (configurations := math.prod(map(len, values.values()))) > MOST_CONFIGURATIONS:
-        raise ConfigError(
-            f"{several[0]}: the sweep has {configurations:,} runs; give at most {MOST_CONFIGURATIONS:,}"
-        )
+    if (runs := math.prod(map(len, values.values()))) > MOST_CONFIGURATIONS:
+        told = f"the sweep has {runs:,} runs; give at most {MOST_CONFIGURATIONS:,}"
+        raise ConfigError(f"{several[0]}: {told}")
     return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
 
 
@@ -178,9 +174,7 @@ def _parts(text: str) -> list[str]:
 
 
 def _value(word: str, text: str) -> Any:
-    """A number, true, false, null, a list or a mapping as in YAML; anything else is text, in quotes or
-    without.
-    """
+    """A number, true, false, null, a list or a mapping as in YAML; anything else is text."""
     if text[:1] in ("'", '"') and text[1:].endswith(text[0]):
         return text[1:-1]
     if text[:1] in ("[", "{", "'", '"'):
@@ -206,17 +200,11 @@ def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
         if name not in known and name.partition(".")[0] not in PARTS:
             raise unknown_key(name, known)
     command = Command(**{name: settings[name] for name in Command.names() if name in settings})
-    config = kind.from_mapping(
-        {name: value for name, value in settings.items() if name not in Command.names()}
-    )
+    own = {name: value for name, value in settings.items() if name not in Command.names()}
+    config = kind.from_mapping(own)
     if command.out is None:
         return Order(config, free_folder(config), command)
     return Order(config, Path(_filled(command.out, flat(plain(config) | command.model_dump()))), command)
-
-
-def _settings(order: Order) -> dict[str, Any]:
-    """All that a run is set to."""
-    return plain(order.config) | order.command.model_dump()
 
 
 def _filled(out: str, settings: dict[str, Any]) -> str:
@@ -249,15 +237,8 @@ def _check(orders: Sequence[Order]) -> None:
 def _train(order: Order, quiet: bool, fit: Fit) -> Run:
     """Train, show the table, and fly the test split."""
     config, out, command = order
-    finished = train(
-        config,
-        out=out,
-        quiet=quiet,
-        overwrite=command.overwrite,
-        checkpoint_seconds=command.checkpoint_seconds,
-        logger=command.logger,
-        fit=fit,
-    )
+    how = {name: getattr(command, name) for name in ("overwrite", "checkpoint_seconds", "logger")}
+    finished = train(config, out=out, quiet=quiet, fit=fit, **how)
     plugins.warn_of_changed(finished.path, finished.meta.get("plugins", {}))
     if not quiet and finished.fresh:
         summary.report(finished)
@@ -278,10 +259,7 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
 
 
 def _next(runs: Sequence[Run], order: Order, names: Sequence[str]) -> str:
-    """What to do next with the newest run, which an order describes, in commands that run as they stand.
-
-    runs: all of a sweep; names: of the plugins that they need.
-    """
+    """What to do next with the newest run, in commands that run as they stand; names: of plugins."""
     paths = [str(run.path) for run in runs]
     with_plugins = ["--plugins", ",".join(names)] if names else []
     longer = order.config.replace(total_frames=2 * order.config.total_frames)

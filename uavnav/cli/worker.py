@@ -1,10 +1,9 @@
-"""The process of a worker: it trains some seeds of a run as a run of its own, and flies them where a study
-asks for it.
+"""The process of a worker: it trains some seeds of a run, and flies them where a study asks for it.
 
     python -m uavnav.cli.worker [PLUGIN ...] MODULE:CLASS FILE.job
 
-The class is that of the run's configuration. The file says the rest in JSON (see `uavnav.training.workers`);
-how the process ended is written into FILE.ended.
+The class is that of the run's configuration; the file says the rest (see `uavnav.training.workers`). How
+the process ended is written into FILE.ended.
 """
 
 from __future__ import annotations

@@ -113,8 +113,8 @@ def evaluate_policy(
         world=own.world if world is None else world, reward=own.reward if reward is None else reward
     )
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
-        sees = f"the policy sees {policy.task.observation_size} numbers"
-        raise ValueError(f"{sees}, and this task has {own.observation_size}; give one that was trained there")
+        both = f"sees {policy.task.observation_size} numbers, and this task has {own.observation_size}"
+        raise ValueError(f"the policy {both}; give one that was trained there")
     limit = own.limit(MAX_STEPS) if max_steps is None else max_steps
     return fly({seed: suited(policy, own)}, on(own, layouts, episodes, limit, faults)).episodes
 
@@ -126,8 +126,7 @@ def on(
     max_steps: int = MAX_STEPS,
     faults: Faults | None = None,
 ) -> WrappedTask:
-    """The task of an evaluation: the first layouts of a layout file, a time limit, and these faults instead
-    of its own.
+    """The task of an evaluation: the first layouts of a file, a time limit, and these faults or its own.
 
     Raises:
         LayoutError: the split cannot be read.
@@ -144,9 +143,7 @@ def on(
 
 
 def check_bounds(episodes: int, max_steps: int, most: int) -> None:
-    """Raise a ValueError for more episodes than a split has layouts, which is `most`, or for a count below
-    1.
-    """
+    """Raise a ValueError for more episodes than `most`, a split's layouts, or for a count below 1."""
     if not 1 <= episodes <= most or not 1 <= max_steps <= MOST_STEPS:
         bounds = f"1 to {most} episodes of at least 1 step and at most {MOST_STEPS:,}"
         raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give {bounds}")
@@ -233,13 +230,9 @@ def _table(parts: list[dict[str, Tensor]], who: pd.DataFrame, columns: dict[str,
 
 
 def in_empty_arena(modes: Mapping[str, Mapping[int, Policy]], steps: int = WATCHED_STEPS) -> pd.DataFrame:
-    """The actions of an episode for each policy and start heading, until a collision or for so many steps.
+    """The actions of an episode for each policy and start heading, at most so many steps.
 
-    Returns:
-        A row a step, columns seed, layout, action, mode; layout counts `HEADINGS`.
-
-    Raises:
-        ValueError: steps is below 1.
+    Columns seed, layout (counts `HEADINGS`), action, mode. Raises a ValueError where steps is below 1.
     """
     first = next(iter(next(iter(modes.values())).values()))
     task = first.task.replace(layouts=EMPTY_ARENA, max_steps=steps)
@@ -255,21 +248,17 @@ def evaluate_run(
     faults: Faults | None = None,
     at: float | None = None,
 ) -> pd.DataFrame:
-    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (see
-    `Protocol.file`).
+    """Evaluate every seed of a run, greedy and sampled, and keep its rows (see `Protocol.file`).
 
-    Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how
-    far it is, unless it is `quiet`. Faults are those that the run was trained with, unless others are given.
-    The time limit is 10,000 steps if none is given, or the task's own where that is lower. Policies are those
+    On a terminal a bar shows how far it is, unless it is `quiet`. By default faults are of training, and the
+    time limit is 10,000 steps, or the task's own where that is lower. Policies are those
     of the end of training, or those kept after the share `at` of it (the setting `keep_at`).
 
     Returns:
-        The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the file's header, the
-        protocol.
+        The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs` the protocol, as in the file's header.
 
     Raises:
-        LayoutError, PolicyError, RunError: the split or the run's policy cannot be read, or its folder not be
-            written.
+        LayoutError, PolicyError, RunError: a file cannot be read or written.
     """
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")
@@ -289,13 +278,10 @@ def evaluate_run(
     ) -> dict[str, pd.DataFrame]:
         own = {mode: {seed: population[seed] for seed in seeds} for mode, population in modes.items()}
         rows, behaviour = fly_modes(own, task, tell, measure_of(layouts))
-        beside = _beside(run, own) if usual else {}
-        # rows last: who finds them has the others too
-        return {
-            **beside,
-            behaviour_file: behaviour,
-            rows_file: rows,
-        }
+        found = {ARENA: in_empty_arena(own)} if usual else {}
+        if usual and ALGORITHMS[run.algorithm].shown == "Q value":
+            found[VALUES] = values.overestimation(own["greedy"], run.config["gamma"])
+        return found | {behaviour_file: behaviour, rows_file: rows}  # rows last: who finds them has all
 
     here, there = run.seeds, []
     n = episodes * len(modes)
@@ -319,19 +305,9 @@ def evaluate_run(
 
 
 def together(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Tables of some seeds each as one of all: by mode, seed and layout, the steps of an episode as they
-    are.
-    """
+    """Tables of some seeds each as one, by mode, seed and layout; the steps of an episode stay in order."""
     by = [name for name in ("mode", "seed", "layout") if name in parts[0]]
     return pd.concat(parts).sort_values(by, kind="stable", ignore_index=True)
-
-
-def _beside(run: Run, modes: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd.DataFrame]:
-    """What else is kept of policies in the paper's task, by the name of its file."""
-    found = {ARENA: in_empty_arena(modes)}
-    if ALGORITHMS[run.algorithm].shown == "Q value":
-        found[VALUES] = values.overestimation(modes["greedy"], run.config["gamma"])
-    return found
 
 
 def rows_across(ladder: str, episodes: int, max_steps: int) -> str:

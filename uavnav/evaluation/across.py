@@ -1,7 +1,6 @@
 """Evaluate policies across ladders: reward, collisions and survival against difficulty.
 
-`uavnav evaluate RUN... --across density slalom` evaluates each policy on every rung and draws one figure a
-ladder.
+`uavnav evaluate RUN... --across density slalom` draws one figure a ladder.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from uavnav.evaluation import check_bounds, fly_modes, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics
 from uavnav.runs.lately import span
-from uavnav.runs.policies import Policy, by_mode, load_policies
+from uavnav.runs.policies import Policy, by_mode, is_zip, load_policies, load_policy
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure
@@ -59,6 +58,10 @@ class Flyer(NamedTuple):
         """Its algorithm, or the name of a script: by this it has its colour."""
         return self._first.algorithm if isinstance(self._first, Policy) else self.name
 
+    def as_trained(self) -> Flyer:
+        """The same without its greedy policies."""
+        return self._replace(modes={mode: own for mode, own in self.modes.items() if mode != "greedy"})
+
     def fly(self, task: WrappedTask, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
         """A row an episode in a task, with its mode; where: the task's name for a bar."""
         modes = {
@@ -66,11 +69,18 @@ class Flyer(NamedTuple):
             for mode, population in self.modes.items()
         }
         n = len(task.layouts) * sum(map(len, modes.values()))
-        with (
-            machine.use_threads(1),
-            display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell,
-        ):
+        bar = display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet)
+        with machine.use_threads(1), bar as tell:
             return fly_modes(modes, task, tell, measure).episodes
+
+
+def of_policy(name: str, activation: str | None = None, seeds: int = 1) -> Flyer:
+    """A scripted policy with some seeds, a zip, a policy file, or a policy that ships."""
+    if name in BASELINES:
+        return Flyer(name, {"scripted": dict.fromkeys(range(seeds), BASELINES[name])})
+    if is_zip(name):
+        return Flyer(name, by_mode({0: load_policy(name, activation=activation)}))
+    return Flyer(name, by_mode(load_policies(name)))
 
 
 def of_run(name: str, run: Run) -> Flyer:
@@ -87,22 +97,17 @@ def climb(
     scripted: WrappedTask | None = None,
     tell: Callable[[float], object] = lambda seconds: None,
 ) -> pd.DataFrame:
-    """Fly every rung of a ladder on its first test layouts.
+    """Fly every rung of a ladder on its first test layouts: `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
 
-    scripted: the task of a scripted policy; by default the paper's.
-    tell: is told how many seconds the first rung took.
-
-    Returns:
-        A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
+    scripted: the task of a scripted policy; by default the paper's; tell: is told the first rung's seconds.
     """
     own = who.task or scripted or make_task(EMPTY)
     parts: list[pd.DataFrame] = []
     start = time.monotonic()
     for rung in ladder.rungs:
         task = ladder.task(own.replace(max_steps=max_steps), rung, "test")
-        rows = who.fly(
-            task.replace(layouts=task.layouts[:episodes]), f"{ladder.words} {rung:g}", quiet, ladder.measure
-        )
+        task = task.replace(layouts=task.layouts[:episodes])
+        rows = who.fly(task, f"{ladder.words} {rung:g}", quiet, ladder.measure)
         parts.append(rows.assign(rung=float(rung)))
         if len(parts) == 1:
             tell(time.monotonic() - start)
@@ -112,9 +117,8 @@ def climb(
 def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung", of_one_seed: bool = False) -> pd.DataFrame:
     """Means and 95 % intervals, a row a name, mode, rung and measure; rows: of `climb`, by name.
 
-    An interval is over n seeds. One seed has none; with `of_one_seed`, its interval is over its n episodes,
-    which says nothing of other seeds. The column `over` says which.
-    by: the column that tells where an episode was.
+    An interval is over n seeds. One seed has none; with `of_one_seed`, its interval is over its n episodes.
+    The column `over` says which. by: the column that tells where an episode was.
     """
     found = []
     for name, table in rows.items():
@@ -152,10 +156,7 @@ def in_brief(table: pd.DataFrame) -> str:
 def draw(
     table: pd.DataFrame, ladder: Ladder, kinds: Mapping[str, str], width: float = style.WIDTH
 ) -> style.Drawn:
-    """Each measure against difficulty, one line a policy as it acts in training, bands for intervals.
-
-    kinds: by name, the algorithm of a policy, for its colour.
-    """
+    """Each measure against difficulty, a line and a band a policy; kinds: by name, for colours."""
     mine = table[table["mode"] != "greedy"]
     measures = [*dict.fromkeys(mine["measure"])]
     figure = Figure(figsize=(width, 1 + 2.5 * len(measures)), layout="constrained")
@@ -226,11 +227,10 @@ def across(
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted policies, across ladders; keep rows and a figure.
 
-    The time limit is 2,000 steps if none is given, or that of a policy's own task where it is lower. `tell`
-    is told of limits that differ, and a figure is named after the highest. Scripted policies fly the task of
-    the first policy's training, or `task` where there is none. A ladder that one of the tasks does not have
-    is left out, and `tell` is told so. The rows of a run are in its folder, figures in `out` or else in the
-    first run's folder. `alone`: policies fly only as in training, without scripted ones and a figure.
+    The time limit is 2,000 steps by default, or that of a policy's own task where it is lower. `tell` is told
+    of limits that differ and of ladders that a task lacks. Scripted policies fly the task of the first
+    policy's training, or `task`. Rows of a run are in its folder, figures in `out` or the first run's folder.
+    `alone`: policies fly only as in training, without scripted ones and a figure.
 
     Returns:
         What the tables show, for JSON.
@@ -241,33 +241,28 @@ def across(
         ValueError: a count below 1, or more layouts than a layout file has.
     """
     if alone:
-        acting = [{mode: own for mode, own in one.modes.items() if mode != "greedy"} for one in flyers]
-        flyers = [one._replace(modes=modes) for one, modes in zip(flyers, acting, strict=True)]
+        flyers = [one.as_trained() for one in flyers]
     trained_in = next((one.task for one in flyers if one.task is not None), None)
     scripted = make_task(EMPTY, task=task) if trained_in is None else trained_in.replace(stack=1)
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
     folder = out or next((one.run.path for one in flyers if one.run is not None), Path())
     check_out(folder / "across.svg")
     tasks = {one.name: one.task or scripted for one in flyers}
-    unfit = {
-        name: [who for who, own in tasks.items() if not ladder.fits(own)] for name, ladder in LADDERS.items()
-    }
+    unfit = {name: [who for who, own in tasks.items() if not one.fits(own)] for name, one in LADDERS.items()}
     fit = ", ".join(name for name in LADDERS if not unfit[name])
     climbed = [name for name in names if not unfit[name]]
     if not climbed:
         raise RunError(f"--across {' '.join(names)}: no ladder of these tasks; give some of {fit}")
     for name in names:
         if name not in climbed:
-            tell(
-                f"left out: the ladder {name}, which the task of {', '.join(unfit[name])} does not have; "
-                f"{fit} fit"
-            )
+            which = f"the ladder {name}, which the task of {', '.join(unfit[name])} does not have"
+            tell(f"left out: {which}; {fit} fit")
     turns, distances = chosen_among(scripted.world)
     if not alone and (scripted.world.n_turns, scripted.world.n_distances) != (turns, distances):
         tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
     elif not alone:
         beside = [name for name in USUAL if name not in tasks]
-        flyers = [*flyers, *(Flyer(name, {"scripted": {0: BASELINES[name]}}) for name in beside)]
+        flyers = [*flyers, *map(of_policy, beside)]
     limits = {one.name: max_steps or (one.task or scripted).limit(ACROSS_STEPS) for one in flyers}
     if len(set(limits.values())) > 1:
         each = ", ".join(f"{name} {limit:,}" for name, limit in limits.items())
@@ -298,10 +293,8 @@ def across(
         if not quiet:
             summary.show(shown(table, name))
         if not alone:
-            path = save(
-                draw(table, LADDERS[name], {one.name: one.kind for one in flyers}),
-                folder / rows_across(name, episodes, max(limits.values())),
-            )
+            drawn = draw(table, LADDERS[name], {one.name: one.kind for one in flyers})
+            path = save(drawn, folder / rows_across(name, episodes, max(limits.values())))
             if not quiet:
                 print(f"the figure is {path}", flush=True)
         told += [{"ladder": name, **one} for one in records(table)]

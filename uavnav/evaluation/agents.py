@@ -36,18 +36,19 @@ class Policies:
     def __init__(self, policies: Sequence[Seeded], n_actions: int) -> None:
         self._n_actions = n_actions
         self._groups: list[Agents | Alone] = []
-        for _, alike in itertools.groupby(policies, lambda one: _kind_of_network(one[1])):
-            some = [*alike]
+
+        def network(seeded: Seeded) -> tuple[object, ...] | None:  # None of a script
+            own = seeded[1]
+            return (made_of(own.network) or object(), own.head) if isinstance(own, Policy) else None
+
+        for some in ([*alike] for _, alike in itertools.groupby(policies, network)):
             agents = [(seed, policy) for seed, policy in some if isinstance(policy, Policy)]
             self._groups += [Agents(agents)] if agents else [Alone(*one) for one in some]
 
     def act(self, observation: Tensor, sizes: Sequence[int]) -> tuple[Tensor, Tensor | None]:
         """An action for each row, and the numbers behind it unless a script acts: [F, obs] -> [F], [F, n].
 
-        sizes: how many rows each policy has; one policy's after the other's.
-
-        Raises:
-            ValueError: a policy chose something that is no action.
+        sizes: how many rows each policy has, in turn. Raises a ValueError for what is no action.
         """
         each = iter(sizes)
         own_sizes = [[*itertools.islice(each, group.n)] for group in self._groups]
@@ -83,7 +84,12 @@ class Agents:
         self.n = len(policies)
         self._policies = [policy for _, policy in policies]
         self._generators = [torch.Generator().manual_seed(seed) for seed, _ in policies]
-        ways = itertools.groupby(range(self.n), lambda agent: _way_to_act(self._policies[agent]))
+
+        def way(agent: int) -> tuple[object, ...]:
+            own = self._policies[agent]
+            return own.greedy, own.acts, own.epsilon
+
+        ways = itertools.groupby(range(self.n), way)
         self._alike = [[*agents] for _, agents in ways]
         """Neighbours that act in the same way."""
         self._sizes: list[int] = []
@@ -96,7 +102,11 @@ class Agents:
             self._arrange(sizes)
         values = self._network.of_agents(observation[self._rows])[self._own]
         parts = torch.split(values, [sum(sizes[agent] for agent in agents) for agents in self._alike])
-        actions = [self._choose(agents, part) for agents, part in zip(self._alike, parts, strict=True)]
+        actions = []
+        for agents, part in zip(self._alike, parts, strict=True):
+            policy = self._policies[agents[0]]
+            uniforms = [policy.draw((sizes[agent],), self._generators[agent]) for agent in agents]
+            actions.append(policy.choose(part, torch.cat(uniforms, -1)))
         return torch.cat(actions), values
 
     def _arrange(self, sizes: list[int]) -> None:
@@ -113,12 +123,6 @@ class Agents:
         self._own = column < n
         self._rows = n.cumsum(0) - n + column.minimum(n - 1)
         self._sizes = sizes
-
-    def _choose(self, agents: Sequence[int], values: Tensor) -> Tensor:
-        """The actions of some that act in the same way: [N, actions] -> [N]."""
-        policy = self._policies[agents[0]]
-        uniforms = [policy.draw((self._sizes[agent],), self._generators[agent]) for agent in agents]
-        return policy.choose(values, torch.cat(uniforms, -1))
 
 
 class Alone:
@@ -147,14 +151,3 @@ def _takes_generator(policy: Callable[..., Any]) -> bool:
     except ValueError:  # of a function in C nothing is known
         return True
     return True
-
-
-def _kind_of_network(policy: AnyPolicy) -> tuple[object, ...] | None:
-    """What policies have in common that can be one network; nothing of another kind is equal. None of a
-    script.
-    """
-    return (made_of(policy.network) or object(), policy.head) if isinstance(policy, Policy) else None
-
-
-def _way_to_act(policy: Policy) -> tuple[object, ...]:
-    return policy.greedy, policy.acts, policy.epsilon

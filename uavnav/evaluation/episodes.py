@@ -81,12 +81,8 @@ def steps(
 ) -> Iterator[Transition]:
     """Step until every episode has ended by a collision or at the time limit, or the caller has seen enough.
 
-    Set `ended` of an episode, and it goes no further.
-
-    policies: with the seeds of their generators; heading: [layouts] of the start, where it is not the task's.
-
-    Raises:
-        ValueError: a policy chose something that is no action.
+    Set `ended` of an episode, and it goes no further. policies: with the seeds of their generators; heading:
+    [layouts] of the start, where it is not the task's. Raises a ValueError for what is no action.
     """
     seeds = [seed for seed, _ in policies]
     state, draws = start(task, seeds, heading), _draws(task, seeds, "faults in evaluation")
@@ -125,9 +121,7 @@ def steps(
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
-    """Which policies were trained in the same task but for layouts and time limit, and so can share a
-    batch.
-    """
+    """Which policies can share a batch: their tasks differ only in layouts and time limit."""
     tasks = [policy.task for policy in policies]
     keys = [(type(task.task), task.world, task.reward, task.stack, task.faults) for task in tasks]
     return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]

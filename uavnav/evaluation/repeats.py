@@ -23,8 +23,7 @@ LONGEST = 512
 class Repeats:
     """Watches episodes step by step.
 
-    repeatable: [n] of which of all episodes the same pose is always followed by the same steps; max_steps:
-    the time limit; earliest: the step from which they may be counted.
+    repeatable: [n] where the same pose has the same future; earliest: the first step that may be counted.
     """
 
     def __init__(self, repeatable: Tensor, max_steps: int, earliest: int) -> None:
@@ -38,10 +37,7 @@ class Repeats:
         self._rewards: list[Tensor] = []
 
     def see(self, step: Transition) -> tuple[Tensor, State] | None:
-        """Take note of a step; which episodes need no more steps [C], and their state at the limit, if known.
-
-        These episodes are marked as ended.
-        """
+        """Take note of a step; which episodes end by it [C], and their state at the limit, if known."""
         on = ~step.ended & self._repeatable[step.episode]
         if not on.any():
             return None

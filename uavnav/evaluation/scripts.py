@@ -1,8 +1,4 @@
-"""Rows of the scripted policies in the tasks of a study, which a report compares with its runs.
-
-`uavnav evaluate random straight reactive --seeds 10 --out DIR` writes them, and so does a study that has
-`scripts`.
-"""
+"""Rows of the scripted policies in the tasks of a study, which a report compares with its runs."""
 
 from __future__ import annotations
 
@@ -40,10 +36,7 @@ def protocol_in(task: WrappedTask, layouts: str, episodes: int, max_steps: int) 
 
 
 def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Rows of scripted policies by name, from the first folder that has them; a line for what cannot be used.
-
-    Only the usual ones are missed. Each line names the command that writes the rows.
-    """
+    """Rows of scripted policies, from the first folder that has them; and commands for the usual others."""
     found, left_out = {}, []
     has = {
         name: [folder for folder in folders if (folder / protocol.file(name)).exists()] for name in SCRIPTS

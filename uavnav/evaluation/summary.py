@@ -1,6 +1,4 @@
-"""The six metrics of a finished run or of an evaluation, and the paper's: a table for people, a record for
-JSON.
-"""
+"""The six metrics of a run or of an evaluation and the paper's: a table, and a record for JSON."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def of_run(run: Run) -> Table:
-    """The six metrics of a finished run, per frame, by the log curve and per episode, next to the paper's
-    row.
-    """
+    """The six metrics of a finished run next to the paper's row."""
     config = run.config
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
@@ -81,9 +77,7 @@ def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _numbers(definitions: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    """Mean and standard deviation over seeds of each metric in each metric definition; null where there
-    is none.
-    """
+    """Mean and standard deviation over seeds of each metric in each definition; null where there is none."""
     found: dict[str, Any] = {}
     for definition, seeds in definitions.items():
         known = {name: seeds[name].dropna().tolist() for name in METRICS}
@@ -100,9 +94,7 @@ def _numbers(definitions: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
 def _metric_table(
     title: str, caption: str, definitions: dict[str, pd.DataFrame], printed: dict[str, float], over: str = ""
 ) -> Table:
-    """definitions: by name, a row a seed and a column a metric; over: what sums are divided by, if all by
-    the same.
-    """
+    """definitions: by name, a row a seed and a column a metric; over: what sums are divided by."""
     table = Table(title=title, caption=caption, min_width=79)
     table.add_column("metric")
     for definition in definitions:
@@ -120,16 +112,13 @@ def _metric_table(
 
 
 def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, float]:
-    """The paper's row for a run; nothing where its task or its split, or those of its episodes, are not the
-    paper's.
+    """The paper's row for a run; nothing where its task or split, or those of its episodes, are other ones.
 
-    What the paper leaves open may be read otherwise: `DEFINITIONS`.
-    flown: how it was flown, as in the header of a file of rows.
+    What the paper leaves open may be read otherwise: `DEFINITIONS`. flown: the header of a file of rows.
     """
     config, episodes = run.config, flown or {}
-    world = {
-        name: value for name, value in (config.get("world") or {}).items() if name not in DEFINITIONS["world"]
-    }
+    given = config.get("world") or {}
+    world = {name: value for name, value in given.items() if name not in DEFINITIONS["world"]}
     other = config.get("task", "drone") != "drone" or config.get("stack", 1) != 1
     other |= config.get("reward", "eq14") not in DEFINITIONS["reward"]
     other |= World().model_dump() | world != World().model_dump()
@@ -139,10 +128,7 @@ def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, floa
 
 
 def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
-    """The six metrics of an evaluation in each of its modes, with the paper's row where there is one.
-
-    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`; who: has flown, a run or a policy's name.
-    """
+    """The six metrics of an evaluation in each of its modes, with the paper's row; who: has flown."""
     flown = _flown(rows)
     censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in flown)
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
@@ -168,10 +154,7 @@ def _own(rows: pd.DataFrame) -> list[str]:
 
 
 def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
-    """How a run flies that acts as in training, in a sentence, and `reactive` where that flies the same.
-
-    rows: as `evaluate_run` gives them on the test split; config: of the run.
-    """
+    """How a run flies that acts as in training, and `reactive` where that flies the same."""
     flown, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
     share, limit = flown["truncated"].mean(), rows.attrs["max_steps"]
     ends = f"sampled, {share:.0%} of episodes reach the limit of {limit:,} steps"
@@ -199,10 +182,7 @@ def report(run: Run) -> None:
 
 
 def show(table: Table) -> None:
-    """Print a table, wider than the terminal rather than cut off.
-
-    Where nobody reads, it is as any other line is: rich would end the process with a status of its own.
-    """
+    """Print a table, wider than the terminal rather than cut off; a closed pipe is met as by `print`."""
     console = Console()
     # as if the terminal were so wide
     whole = console.measure(table, options=console.options.update(width=1000))

@@ -1,13 +1,9 @@
-"""The transfer matrix: trained in one environment, evaluated in another, where observations have the same
-size.
-
-`uavnav evaluate RUN RUN... --transfer` evaluates each policy on the test layouts of each task that one of
-them was trained in.
-"""
+"""The transfer matrix, `uavnav evaluate RUN RUN... --transfer`: trained in one task, evaluated in each."""
 
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,11 +45,7 @@ class Place(NamedTuple):
 def place(run: Run, episodes: int, max_steps: int | None) -> Place:
     """Where a run was trained: its task and faults, on the first test layouts that belong to its split.
 
-    The time limit is 2,000 steps if none is given, or the task's own where that is lower.
-
-    Raises:
-        LayoutError: there are no such layouts.
-        RunError: its settings name no world.
+    The time limit is 2,000 steps by default, or the task's own where that is lower.
     """
     task, layouts = trained_in(run)
     flown = task.on(layouts, max_steps or task.limit(ACROSS_STEPS))
@@ -63,19 +55,12 @@ def place(run: Run, episodes: int, max_steps: int | None) -> Place:
 def trained_in(run: Run) -> tuple[WrappedTask, str]:
     """The task of a run's training, without obstacles, and the test layouts that belong to its split.
 
-    Raises:
-        RunError: its settings name no world.
+    Raises a RunError where its settings name no task.
     """
     own = run.config
     try:
-        task = make_task(
-            EMPTY,
-            own.get("world"),
-            own.get("reward"),
-            None,
-            own.get("task", "drone"),
-            faults=own.get("faults"),
-        )
+        where = own.get("world"), own.get("reward"), None, own.get("task", "drone")
+        task = make_task(EMPTY, *where, faults=own.get("faults"))
     except (TypeError, ValueError) as error:
         raise RunError(
             f"{run.path / 'config.yaml'}: names no task ({error}); give a run of this package"
@@ -91,15 +76,8 @@ def named(task: WrappedTask, layouts: str) -> str:
     own = [f"{key}={value}" for key, value in task.world.model_dump().items() if value != usual[key]]
     faults = [str(task.faults)] * (str(task.faults) != "none")
     reward = [f"reward={task.reward}"] * (task.reward != task.REWARD)
-    first = (
-        name if all_layouts in splits.SPLITS else all_layouts if name == "drone" else f"{name} {all_layouts}"
-    )
+    first = name if all_layouts in splits.SPLITS else f"{name} {all_layouts}".removeprefix("drone ")
     return ", ".join([first, *own, *reward, *faults])
-
-
-def _sizes(task: WrappedTask) -> tuple[int, int, int]:
-    """What tasks must have in common: numbers of an observation, turns and distances to choose from."""
-    return task.world.observation_size, task.world.n_turns, task.world.n_distances
 
 
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
@@ -118,10 +96,7 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
 
 @matplotlib.rc_context(style.STYLE)
 def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
-    """The reward of each policy, as it acts in training, in each task: a heat map with its numbers.
-
-    table: of `judged`; trained: by name, the task of its training, which is framed.
-    """
+    """The reward of each policy, as in training, in each task: a heat map; trained: a name's own task."""
     mine = table[(table["mode"] != "greedy") & (table["measure"] == "reward")]
     names, worlds = ([*dict.fromkeys(mine[column])] for column in ("name", FLOWN))
     found = mine.set_index(["name", FLOWN])
@@ -187,18 +162,15 @@ def transfer(
     quiet: bool,
     say: Callable[[str], object] = print,
 ) -> list[dict[str, Any]]:
-    """Evaluate all that is named in every task of training; rows and a figure go to `out` or the first run's
-    folder.
+    """Evaluate all that is named in every task of training; rows and a figure go to `out` or a run's folder.
 
-    max_steps: as of `place`; files are named after the highest limit.
-    say: is told, in one line, who is left out because it sees or does something else.
+    max_steps: as of `place`; say: is told who is left out because it sees or does something else.
 
     Returns:
         What the table shows, for JSON.
 
     Raises:
-        LayoutError, PolicyError, RunError: a layout file or a policy cannot be read, or a file not be
-            written.
+        LayoutError, PolicyError, RunError: a file cannot be read or written.
         ValueError: a count below 1, or more layouts than a layout file has.
     """
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, splits.SPLITS["test"].n)
@@ -206,13 +178,12 @@ def transfer(
     if first is None:
         given = " ".join(who.name for who in flyers)
         raise RunError(f"--transfer {given}: names no run; give the folders of runs of several tasks")
-    fit = [who for who in flyers if who.task is None or _sizes(who.task) == _sizes(first)]
+    sizes = operator.attrgetter("observation_size", "n_turns", "n_distances")
+    fit = [who for who in flyers if who.task is None or sizes(who.task.world) == sizes(first.world)]
     if left_out := [who.name for who in flyers if who not in fit]:
         size, actions = first.world.observation_size, first.world.n_actions
-        say(
-            f"left out, for they have not {size} numbers to see and these {actions} actions: "
-            f"{', '.join(left_out)}"
-        )
+        lack = f"for they have not {size} numbers to see and these {actions} actions"
+        say(f"left out, {lack}: {', '.join(left_out)}")
     homes = {who.name: place(who.run, episodes, max_steps) for who in fit if who.run is not None}
     places = {home.name: home for home in homes.values()}
     folder = out or next(who.run.path for who in flyers if who.run is not None)
@@ -221,10 +192,10 @@ def transfer(
     unique = hashlib.sha256(names.encode()).hexdigest()[:6]  # others may have a matrix there
     path = folder / f"transfer-{episodes}-{limit}-{unique}.parquet"
     check_out(path)
-    rows = {
-        who.name: pd.concat([visit(who, one, quiet) for one in places.values()], ignore_index=True)
-        for who in fit
-    }
+    rows = {}
+    for who in fit:
+        visits = [visit(who, one, quiet) for one in places.values()]
+        rows[who.name] = pd.concat(visits, ignore_index=True)
     trained = {who.name: homes[who.name].name if who.name in homes else "" for who in fit}
     table = judged(rows, by=FLOWN)
     kept = [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()]

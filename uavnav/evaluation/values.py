@@ -26,17 +26,11 @@ def overestimation(
 
     q is the mean of max_a Q(s, a) over the states of greedy episodes, one on each of the first test layouts,
     and realised the mean of the discounted return from the same states on. States are those of the first
-    `steps` steps of an episode, collision or not. The episode goes on until the rest of its return is worth
-    less than `tail` of what it would be now (gamma^n < tail, 459 steps at 0.99). Where that takes more than
-    `max_steps` steps in all (gamma near 1), only states with so much future, or with a collision ahead,
-    count: NaN where there is none. All episodes start upwards.
+    `steps` steps. The episode goes on until gamma^n < tail (459 steps at 0.99). Where that takes more than
+    `max_steps` steps in all, only states with so much future, or with a collision ahead, count: NaN where
+    there is none. All episodes start upwards.
 
-    Args:
-        population: greedy policies whose outputs are values of actions, by seed.
-        gamma: the discount of their training.
-
-    Raises:
-        ValueError: gamma is no discount, or there are not so many layouts or steps.
+    population: greedy policies whose outputs are values, by seed; gamma: the discount of their training.
     """
     all_layouts = layouts.load("test")
     if not isinstance(gamma, (int, float)) or not 0 <= gamma <= 1:

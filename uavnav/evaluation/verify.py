@@ -1,7 +1,4 @@
-"""Repeat a run from its config.yaml and say whether the rows and weights are the same, bit for bit.
-
-`uavnav verify RUN [--frames N]`
-"""
+"""`uavnav verify RUN [--frames N]`: repeat a run and say whether its rows and weights are the same bits."""
 
 from __future__ import annotations
 
@@ -40,8 +37,7 @@ class Verdict(NamedTuple):
 def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
 
-    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights
-    if the run has some: a repository may keep only its rows, or the weights of some seeds.
+    At the end of a whole run weights are compared too: a repository may keep only rows, or some seeds.
 
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.

@@ -1,8 +1,6 @@
-"""From run folders to a report: one's own runs and the scripted policy, and the paper's study: verdicts on
-its claims, tables, figures, replays, methods.
+"""From run folders to a report: one's own runs and the scripted policy, and the paper's study.
 
-`python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/. It
-reads the rows that runs left, and lets their policies fly a little; nothing here trains.
+`python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/.
 """
 
 from __future__ import annotations
@@ -27,10 +25,9 @@ class Written(NamedTuple):
 
 
 def places(folders: Sequence[str | Path], out: str | Path | None) -> tuple[list[Path], Path]:
-    """The folders that a report reads, and where it goes.
+    """The folders that a report reads, and where it goes: by default `runs`, into itself, or `results`.
 
-    Without folders: `runs`, if there is one, and the report goes into it; else `results`, and the report goes
-    to `report`, for `results` is committed.
+    `results` is committed, so that a report on it that nobody asked to renew goes to `report`.
     """
     if folders:
         found = [Path(folder) for folder in folders]
@@ -51,8 +48,7 @@ def report(
     tell: is told each step of the work; watched: the page renews itself.
 
     Raises:
-        RunError: a folder is missing or contains no run, no run can be used, or `out` cannot be written:
-            nothing is.
+        RunError: no run can be used, or `out` cannot be written: nothing is.
     """
     read, where = places(folders, out)
     try:
@@ -89,9 +85,7 @@ def report(
 
 
 def _write_all(out: Path, contents: Mapping[str, bytes]) -> None:
-    """Write some files, by their paths below `out`; or a RunError, before any is written where that can
-    be foreseen.
-    """
+    """Write some files, by their paths below `out`; raises a RunError, before any is written if it can."""
     targets = {out / name: content for name, content in contents.items()}
     try:
         for target in targets:

@@ -31,11 +31,10 @@ def trajectories(
     mode: str = "greedy",
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """Paths of a configuration's first seed, as the paper's figures 6 and 7: a row a layout, a column a
-    configuration.
+    """Paths of each configuration's first seed, as the paper's figures 6 and 7: a row a layout.
 
-    tables: label -> rows with the columns seed, layout, step, x, y, clearance and mode; all_layouts: [L, K,
-    3] px; layouts: indices into them; width: of the figure [inches].
+    tables: label -> rows of `behaviour.COLUMNS`; all_layouts: [L, K, 3] px; layouts: places in them;
+    width: [inches].
     """
     of_mode = {name: rows[rows["mode"] == mode] for name, rows in tables.items()}
     one = {name: rows[rows["seed"] == rows["seed"].min()] for name, rows in of_mode.items()}
@@ -127,11 +126,9 @@ def preview(
 
 @matplotlib.rc_context(style.STYLE)
 def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDTH) -> style.Drawn:
-    """Where the configurations fly: a panel a configuration, one scale of colours (its square root, so that
-    rare places show).
+    """Where the configurations fly: a panel each, one scale of colours (its square root shows rare places).
 
-    maps: label -> shares of steps [rows of y, columns of x], from the lower-left corner; width: of the figure
-    [inches].
+    maps: label -> shares of steps [rows of y, columns of x], from the lower-left corner; width: [inches].
     """
     title = "Where the configurations fly"
     if not maps or not any(np.nansum(share) > 0 for share in maps.values()):

@@ -51,12 +51,10 @@ ONLY = "only those of drones on test layouts are measured"
 
 
 def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
-    """The watched steps of a run's evaluation, or those in the empty arena, with their poses (`retrace`);
-    None where there is no such file.
+    """The watched steps of a run, or those in the empty arena, with their poses; None without such a file.
 
     Raises:
-        RunError: the file is damaged or is not a run's, or its episodes are not those of drones on test
-            layouts.
+        RunError: the file is damaged, or its episodes are not those of drones on test layouts.
     """
     path = run.path / ARENA if in_arena else run.behaviour_file()
     if not path.exists():
@@ -95,11 +93,9 @@ def _actions(run: Run, path: Path, task: WrappedTask) -> pd.DataFrame:
 def retrace(table: pd.DataFrame, layouts: Tensor, heading: Tensor, world: World) -> pd.DataFrame:
     """Where the actions of episodes led: the columns `COLUMNS` and mode, rows as they were.
 
-    x, y are the simulator's sums in float32, bit for bit. Its clearance may differ by rounding where it was
-    compiled.
+    x, y are the simulator's sums in float32, bit for bit; its clearance may round otherwise.
 
-    table: mode, seed, layout, action; an episode's rows in the order of its steps. layouts [L, K, 3] px,
-    heading [L] whole degrees at the start.
+    table: mode, seed, layout, action, in the order of steps; layouts [L, K, 3] px, heading [L] whole degrees.
     """
     episodes_of = table.groupby(EPISODE, sort=False)
     episode, step = episodes_of.ngroup().to_numpy(), episodes_of.cumcount().to_numpy() + 1
@@ -151,8 +147,7 @@ def measures(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
 def of_steps(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame:
     """What `measures` are means of: columns mode, seed, layout, the sums of each measure, `late` and `first`.
 
-    late: whether a step is one of the last `BEFORE_CRASH` of an episode that ended in a collision; first: one
-    of its first `FIRST`.
+    late: one of the last `BEFORE_CRASH` steps before a collision; first: one of the first `FIRST` steps.
     """
     table = table.sort_values([*EPISODE, "step"], ignore_index=True)
     angle, distance = (part.numpy() for part in decode(_tensor(table["action"], torch.int64), world))
@@ -181,8 +176,7 @@ def of_seeds(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def early(steps: pd.DataFrame) -> pd.DataFrame:
-    """Measures of `PLACES` without the late steps, `corridor_early` and so on, and of the first ones,
-    `corridor_first` and so on, by mode and seed.
+    """Measures of `PLACES` by mode and seed, of first steps and without late ones (`corridor_early`).
 
     A seed whose episodes all crash within `BEFORE_CRASH` steps has no early ones.
     """
@@ -194,18 +188,13 @@ def early(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_layout(steps: pd.DataFrame) -> pd.DataFrame:
-    """Measures of `PLACES` on each layout, mean over seeds: columns mode, layout, `corridor_by_layout`
-    and so on.
-    """
+    """Measures of `PLACES` on each layout, mean over seeds: mode, layout, `corridor_by_layout` and so on."""
     of_episodes = steps.groupby(EPISODE)[[*PLACES]].mean()
     return of_episodes.groupby(["mode", "layout"]).mean().add_suffix("_by_layout").reset_index()
 
 
 def corridors(table: pd.DataFrame, layouts: Tensor, world: World) -> Flags:
-    """Whether each step of a table is in a corridor (see `measures`): [P].
-
-    In float64, so that a world and its mirror image differ in nothing.
-    """
+    """Whether each step is in a corridor (see `measures`): [P]; in float64, so that mirror images agree."""
     x, y = (_tensor(table[name], torch.float64) for name in ("x", "y"))
     layout = _tensor(table["layout"], torch.int64)
     found = torch.zeros(len(x), dtype=torch.bool)
@@ -213,11 +202,7 @@ def corridors(table: pd.DataFrame, layouts: Tensor, world: World) -> Flags:
         part = slice(first, first + CHUNK)
         distance, toward_x, toward_y = _bodies(x[part], y[part], layouts[layout[part]].double(), world)
         near = distance <= world.sensor_radius
-        # a body that is far has no direction, and no opposite
-        toward_x, toward_y = (
-            toward_x * near,
-            toward_y * near,
-        )
+        toward_x, toward_y = toward_x * near, toward_y * near  # what is far has no direction, no opposite
         for body in range(1, len(distance)):  # each pair once
             cosine = toward_x[body] * toward_x[:body] + toward_y[body] * toward_y[:body]
             found[part] |= cosine.amin(0) <= OPPOSITE
@@ -254,9 +239,7 @@ def _reversals(table: pd.DataFrame, sign: Array) -> pd.Series[bool]:
 def heat(table: pd.DataFrame, world: World, square: int = 20) -> Array:
     """Share of steps in each square: [rows from bottom to top, columns from left to right], summing to 1.
 
-    Every seed weighs the same, however long it flew; a table of several modes is not split. No rows: all
-    zeros.
-    square: its side [px]; where it does not divide the window, the last row and column are cut by its edge.
+    Every seed weighs the same. square: its side [px]; the window's edge cuts the last row and column.
     """
     edges = [np.arange(0, side + square, square) for side in (world.height, world.width)]
     counts = [np.histogram2d(seed["y"], seed["x"], edges)[0] for _, seed in table.groupby("seed")]

@@ -1,26 +1,31 @@
-"""Figures of configurations side by side: metrics and measures with their seeds, comparisons, and what they
-cost.
+"""Figures of configurations: metrics with their seeds, effects and the paper's, learning curves, survival.
 
-Every function takes plain data and returns a figure with its words. Letters: S seeds of a configuration.
+Every function takes plain data and returns a figure with its words. Letters: S seeds of a configuration, B
+bins of frames.
 """
 
 from __future__ import annotations
 
+import functools
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from uavnav import stats, style
-from uavnav.report.frames import MEASURES
+from uavnav.report.configurations import Configuration, curve
+from uavnav.runs.definitions import PER_FRAME, words
 from uavnav.stats import Array, Interval
+
+RESAMPLES = 1_000
+"""Bootstrap draws of the band of a curve."""
 
 
 @matplotlib.rc_context(style.STYLE)
@@ -31,12 +36,11 @@ def intervals(
     rule: float = np.nan,
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """A metric's mean with its 95 % interval, its interquartile mean, its seeds and the paper's value: a row
-    a configuration.
+    """A metric's seeds, mean, 95 % interval, interquartile mean and the paper's value: a row a configuration.
 
-    rows: label of the configuration -> [S]; printed: label -> the paper's value; axis: the metric with its
-    unit; rule: what the scripted policy reaches; width: of the figure [inches]. The algorithms share a
-    scale unless that would squeeze one of them into a fifth of it.
+    rows: label -> [S]; printed: label -> the paper's value; axis: the metric with its unit; rule: what the
+    scripted policy reaches; width: [inches]. The algorithms share a scale unless one would have less than a
+    fifth of it.
     """
     if not any(np.isfinite(values).any() for values in rows.values()):
         return style.nothing(axis)
@@ -87,8 +91,7 @@ def episodes(
     axis: str,
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """What the scripted policy and others reach on test episodes: a row each, the best first, with its
-    number.
+    """What the scripted policy and others reach on test episodes: a row each, the best first.
 
     rows: label -> one number a seed, or an episode, [S], and their mean; looks: label -> a colour and a line;
     rule: what the scripted policy reaches; axis: the metric in words; width: [inches].
@@ -126,8 +129,7 @@ FARTHEST = 2.0
 def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Our effects ÷ the paper's: a row each, in it a mark for each column of evidence, the first one filled.
 
-    table: columns row, column, ratio, low, high, counts; what is beyond `FARTHEST` is an arrow, and grey
-    does not count; width: of the figure [inches].
+    table: columns row, column, ratio, low, high, counts (else grey); an arrow leads beyond `FARTHEST`.
     """
     title = "Our effect ÷ the paper's"
     if not table["ratio"].notna().any():
@@ -167,95 +169,167 @@ def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """How the configurations fly: a panel a measure, in it a row a configuration: mean, 95 % interval and
-    seeds.
+def curves(
+    configurations: Mapping[str, Configuration],
+    printed: Mapping[str, float],
+    title: str = "",
+    width: float = style.WIDTH,
+    looks: Mapping[str, tuple[str, str]] | None = None,
+    rule: float = np.nan,
+) -> style.Drawn:
+    """Learning curves as the paper's figures 4 and 5: a line and a band each, the paper's mean dashed.
 
-    table: a row a seed; columns configuration, algorithm, activation, seed, and the measures, of which
-        `MEASURES` names some;
-    width: of the figure [inches].
+    configurations: by label; printed: the paper's mean by label; width: [inches]; looks: a colour and a line
+    by label, or else by activation; rule: what the scripted policy earns per frame.
     """
-    measures = [
-        name for name in table.columns if name not in ("configuration", "algorithm", "activation", "seed")
-    ]
-    measures = [name for name in measures if table[name].notna().any()]
-    if not measures:
-        return style.nothing("how the configurations fly")
-    names = list(dict.fromkeys(table["configuration"]))
-    columns = min(len(measures), 2) if width >= style.WIDTH else 1
-    lines = -(-len(measures) // columns)
-    figure = Figure(figsize=(width, lines * (0.3 * len(names) + 0.9) + 0.5), layout="constrained")
-    panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
-    said = []
-    for axes, measure in zip(panels, measures, strict=False):
-        parts = []
-        for row, (name, (colour, _)) in enumerate(style.coloured(names)):
-            seeds = table.loc[table["configuration"] == name, measure].to_numpy(dtype=np.float64)
-            found = style.row_of_seeds(axes, row, seeds, colour)
-            parts.append(f"{name} {style.number(found.value)}")
-        label = MEASURES.get(measure, measure.replace("_", " "))
-        axes.set_xlabel(label)
-        axes.xaxis.set_major_locator(MaxNLocator(5))
-        said.append(f"{label}: {', '.join(parts)}")
-    for axes in panels[len(measures) :]:
-        axes.set_axis_off()
-    counts = table["configuration"].value_counts()
-    style.name_rows(figure.axes[0], [f"{name}, n = {counts[name]}" for name in names])
-    handles = [
-        Line2D([], [], marker="o", markersize=8, color=style.INK, label="mean, 95 % interval over seeds"),
-        style.mark("o", "a seed", markersize=5, alpha=0.5),
-    ]
-    style.legend(figure, handles)
-    return style.Drawn(figure, f"How the configurations fly, means over seeds: {'; '.join(said)}.")
+    metric = words("reward", PER_FRAME)
+    title = f"{title}{metric} in training"
+    if not any(len(one.episodes) for one in configurations.values()):
+        return style.nothing(title)
+    figure, axes = style.panel(title, width=width)
+    colours, ends = {}, []
+    for name, (colour, dashes) in (looks or dict(style.coloured(configurations))).items():
+        line, n = band(curve(configurations[name])), configurations[name].n_seeds
+        _line(axes, line, colour, dashes, f"{name}, n = {n}")
+        if name in printed:
+            axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
+        beside = f"the paper's mean {style.number(printed[name])}" if name in printed else ""
+        colours[name] = colour
+        end = Interval(*line.iloc[-1]) if len(line) else Interval(np.nan, np.nan, np.nan, 0)
+        ends.append(f"{name} {style.said(end._replace(n=int(end.n)), beside)}")
+    if np.isfinite(rule):
+        axes.axhline(rule, label=style.RULE, **style.RULED)
+    axes.set_ylabel(metric)
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
+    _name_dashes(axes, printed, colours)
+    axes.set_xlabel("frames per seed")
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_major_locator(MaxNLocator(6 if width >= style.WIDTH else 3))
+    several = any(one.n_seeds > 1 for one in configurations.values())
+    shade = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
+    handles = [shade] * several
+    handles += [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")] * bool(printed)
+    style.legend(figure, [*axes.get_legend_handles_labels()[0], *handles], 3)
+    return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
+
+
+def _name_dashes(axes: Axes, printed: Mapping[str, float], colours: Mapping[str, str]) -> None:
+    """The paper's means at the right end of their lines, in their colours, none over another."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high)
+    means = sorted((mean, name) for name, mean in printed.items())
+    for (mean, name), place in zip(
+        means, _apart([(mean - low) / (high - low) for mean, _ in means], 0.055), strict=True
+    ):
+        axes.annotate(
+            f"{name} {style.number(mean)}",
+            (1, mean),
+            (1.06, place),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords="axes fraction",
+            color=colours[name],
+            fontsize=11,
+            va="center",
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": colours[name],
+                "linewidth": 0.8,
+                "shrinkA": 1,
+                "shrinkB": 0,
+            },
+        )
+
+
+def _apart(places: Sequence[float], gap: float) -> list[float]:
+    """Ascending places, moved as little as may be until each is a gap from the next."""
+    moved = list(places)
+    for _ in range(100):
+        for below in range(len(moved) - 1):
+            lack = gap - (moved[below + 1] - moved[below])
+            if lack > 0:
+                moved[below] -= lack / 2
+                moved[below + 1] += lack / 2
+    return moved
+
+
+def band(seeds: pd.DataFrame) -> pd.DataFrame:
+    """Mean, low, high and n a bin [B] of values [B, S], by percentile bootstrap; NaN without two seeds."""
+    values = seeds.to_numpy(dtype=np.float64)
+    there = np.isfinite(values)
+    filled, n = np.where(there, values, 0.0), values.shape[1]
+    tail = (1 - stats.CONFIDENCE) / 2
+    found = np.full((len(values), 3), np.nan)
+    sums, counts = (
+        _draws(n) @ np.stack([filled, there]).transpose(0, 2, 1) if n else np.empty((2, 0, len(values)))
+    )
+    for row, (own, known) in enumerate(zip(filled, there, strict=True)):
+        if known.any():
+            found[row, 0] = own[known].mean()
+        if known.sum() > 1:
+            drawn = counts[:, row] > 0
+            means = sums[drawn, row] / counts[drawn, row]
+            found[row, 1:] = np.quantile(means, [tail, 1 - tail])
+    return pd.DataFrame(found, seeds.index, ["mean", "low", "high"]).assign(n=there.sum(1))
+
+
+@functools.lru_cache(maxsize=2)
+def _draws(n: int) -> Array:
+    """How often each of n seeds is drawn: [RESAMPLES, n]."""
+    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=RESAMPLES)
+    return drawn.astype(np.float64)
+
+
+def _line(axes: Axes, line: pd.DataFrame, colour: str, dashes: str, legend: str, width: float = 1.8) -> None:
+    words = textwrap.fill(legend, 50)
+    axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=width, label=words)
+    known = line["low"].notna()
+    if known.any():
+        axes.fill_between(
+            line.index.to_numpy(), line["low"], line["high"], color=colour, alpha=0.2, linewidth=0
+        )
+    alone = line[known & ~known.shift(fill_value=False) & ~known.shift(-1, fill_value=False)]
+    if len(alone):  # a band has no width there
+        axes.vlines(alone.index.to_numpy(), alone["low"], alone["high"], color=colour, alpha=0.2, linewidth=6)
 
 
 @matplotlib.rc_context(style.STYLE)
-def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """Whether conclusions survive other choices: a panel a conclusion, in it a row a switch; the default
-    shaded.
+def survival(
+    curves: Mapping[str, pd.Series[float]],
+    limit: int,
+    width: float = style.WIDTH,
+    looks: Mapping[str, tuple[str, str]] | None = None,
+) -> style.Drawn:
+    """Kaplan and Meier's share of test episodes that last longer, against steps: a line a configuration.
 
-    table: columns switch (one is `default`), conclusion, value, low, high (a difference in mean reward), n;
-    width: of the figure [inches].
+    curves: label -> shares by steps, as of `stats.survival`; limit: where episodes end [steps]; width:
+    [inches]; looks: a colour and a line by label, or else by activation.
     """
-    title = "Differences in mean reward under other choices"
-    if not len(table) or table["value"].isna().all():
+    title = "Test episodes that last longer"
+    curves = {name: shares for name, shares in curves.items() if len(shares)}
+    if not curves:
         return style.nothing(title)
-    names, conclusions = list(dict.fromkeys(table["switch"])), list(dict.fromkeys(table["conclusion"]))
-    names.sort(key=lambda name: name != "default")
-    lines = 1 if width >= style.WIDTH else len(conclusions)  # of panels with the same rows
-    figure = Figure(figsize=(width, lines * (0.42 * len(names) + 2.0)), layout="constrained")
-    panels = figure.subplots(lines, len(conclusions) // lines, sharey=True, squeeze=False).ravel()
-    said = []
-    for axes, conclusion in zip(panels, conclusions, strict=True):
-        rows = table[table["conclusion"] == conclusion].set_index("switch")
-        usual = rows.loc["default"] if "default" in rows.index else None
-        if usual is not None and np.isfinite(usual["low"]):
-            axes.axvspan(usual["low"], usual["high"], color=style.CLEAR, alpha=0.15, linewidth=0)
-        axes.axvline(0, color=style.INK, linewidth=1.2)
-        for name, row in rows.iterrows():
-            clear = row["low"] > 0 or row["high"] < 0
-            look: dict[str, Any] = {"color": style.CLEAR if clear else style.PALE, "linewidth": 2.2}
-            axes.plot([row["low"], row["high"]], [names.index(str(name))] * 2, **look)
-            axes.plot(row["value"], names.index(str(name)), "o", color=look["color"], markersize=7)
-        axes.set_title(textwrap.fill(conclusion, 14 if width >= style.WIDTH else 18))
-        axes.set_xlabel("difference\nin mean reward")
-        axes.xaxis.set_major_locator(MaxNLocator(2))
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        if usual is not None:
-            others = rows.drop(index="default")
-            same = int((np.sign(others["value"]) == np.sign(usual["value"])).sum())
-            found = Interval(usual["value"], usual["low"], usual["high"], int(usual["n"]))
-            count = f"of the same sign under {same} of {len(others)} other choices"
-            said.append(f"{conclusion} {style.said(found)} by default, {count}")
-    least = table.groupby("switch")["n"].min()
-    for axes in panels:
-        style.name_rows(axes, [f"{name}, n = {least[name]:.0f}" for name in names])
-    handles = [
-        Line2D([], [], marker="o", color=style.CLEAR, linewidth=2, label="95 % interval without 0"),
-        Line2D([], [], marker="o", color=style.PALE, linewidth=2, label="with 0"),
-        Patch(color=style.CLEAR, alpha=0.15, label="the default's"),
-    ]
-    style.legend(figure, handles, 3)
-    return style.Drawn(
-        figure, f"{title}: {'; '.join(said) or f'{len(names)} choices, none of them the default'}."
+    figure, axes = style.panel(title, width=width)
+    most, said = max(float(shares.index.max()) for shares in curves.values()), []
+    for name, (colour, dashes) in (looks or dict(style.coloured(curves))).items():
+        shares = curves[name]
+        seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
+        seen.iloc[[0, -1]] = True
+        look = {"color": colour, "linestyle": dashes, "linewidth": 1.8} if name != style.RULE else style.RULED
+        axes.step(seen.index[seen], shares[seen], where="post", label=name, **look)
+        over = shares.index[shares <= 0.5]
+        half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"
+        said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % up at {shares.index[-1]:,.0f}")
+    axes.axvline(limit, **style.DASHED)
+    words, corner = f"time limit{f': {limit:,} steps' * (width >= style.WIDTH)} ", axes.get_xaxis_transform()
+    axes.annotate(
+        words, (limit, 0.98), xycoords=corner, color=style.INK, fontsize=11, rotation=90, va="top", ha="right"
     )
+    axes.set_xscale("log")
+    first = [float(shares.index[(shares < 1) & (shares.index > 0)].min()) for shares in curves.values()]
+    axes.set_xlim(max(np.nanmin([*first, most]) * 0.8, 1.0), max(most, limit) * 1.1)
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set(xlabel="steps", ylabel="episodes that last longer [%]", ylim=(0, 1.02))
+    style.legend(figure, axes.get_legend_handles_labels()[0])
+    return style.Drawn(figure, f"{title}, against steps: {'; '.join(said)}.")

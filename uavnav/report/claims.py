@@ -11,12 +11,11 @@ Letters: S seeds of a configuration, C terms of a part, J its contrasts.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import pandas as pd
 
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, SAMPLED
@@ -48,9 +47,7 @@ NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "le
 
 FIVE = ("ppo", "dqn", "sac", "a2c", "c51")
 PAIR = ("tanh", "relu")
-"""Algorithms of the study `worlds`, and activations of most studies but the main one, the bounded one
-first.
-"""
+"""Algorithms of the study `worlds`; activations of most side studies, the bounded one first."""
 ALL_WORLDS = "all worlds"
 """The mean over tasks."""
 RUNGS = {0: "density-0", 4: "density-4", 8: "drone", 16: "density-16", 20: "density-20"}
@@ -64,9 +61,7 @@ PASSAGES = {
 CRASHED = "crashed"
 """The share of episodes that end in a collision."""
 SLOPE = "reward_by_density"
-"""The slope of a policy's reward over the rungs of the density ladder, a number a seed [reward an
-obstacle].
-"""
+"""The slope of a policy's reward over the density ladder, a number a seed [reward an obstacle]."""
 VARIATION, SCATTER = "gradient_variation", "scatter"
 """Over training, a seed's standard deviation of the gradient's norm to its mean; how far a seed's reward is
 from its configuration's median, to the mean of that in its task.
@@ -151,9 +146,7 @@ class Claim(NamedTuple):
     parts: Sequence[Part]
     shown: int | None = 0  # the part that its sentence (templates/study.md) is about, where one counts
     equal: tuple[str, ...] = ("algorithm", "metric")
-    """If nothing that the claim compares differed, terms that agree in these fields would have the same
-    mean.
-    """
+    """If nothing differed, terms that agree in these fields would have the same mean."""
     note: str = ""  # what else its own tables say
     column: str = TRAINING  # of `COLUMNS`: the one that its sentence is about
     elsewhere: Sequence[Part] = ()  # what it asks of other settings
@@ -171,44 +164,30 @@ def asked(claims: Sequence[Claim], column: str) -> list[Claim]:
     return [claim._replace(parts=parts) for claim in claims if (parts := claim.asks(column))]
 
 
-def _configurations(algorithm: str, activations: Sequence[str] = ACTIVATIONS) -> list[tuple[str, str]]:
-    return list(itertools.product([algorithm], activations))
+Keys = Sequence[tuple[str, ...]]
+"""Algorithm, activation and, if it is not the main one, study."""
 
 
-PPO, DQN = map(_configurations, ALGORITHMS)
-"""The configurations of each."""
+def _of(algorithm: str, *activations: str) -> list[tuple[str, str]]:
+    """The configurations of an algorithm, all four or with some activations."""
+    return [(algorithm, one) for one in activations or ACTIVATIONS]
 
 
-def _terms(configurations: Sequence[tuple[str, ...]], metric: str) -> tuple[Term, ...]:
-    return tuple(
-        Term(algorithm, activation, metric, *study) for algorithm, activation, *study in configurations
-    )
+PPO, DQN = map(_of, ALGORITHMS)
 
 
-def _means(
-    text: str,
-    metric: str,
-    up: Sequence[tuple[str, ...]],
-    down: Sequence[tuple[str, ...]],
-    sign: int = 1,
-    **more: bool,
-) -> Part:
+def _terms(configurations: Keys, metric: str) -> tuple[Term, ...]:
+    return tuple(Term(which, activation, metric, *study) for which, activation, *study in configurations)
+
+
+def _means(text: str, metric: str, up: Keys, down: Keys, sign: int = 1, **more: bool) -> Part:
     """The mean of some configurations is above that of others (sign -1: below)."""
     weights = (*[sign / len(up)] * len(up), *[-sign / len(down)] * len(down))
     return Part(text, _terms([*up, *down], metric), (weights,), **more)
 
 
-def _pairs(
-    text: str,
-    metric: str,
-    up: Sequence[tuple[str, str]],
-    down: Sequence[tuple[str, str]],
-    sign: int = 1,
-    every: bool = True,
-) -> Part:
-    """Each configuration is above each of the others (sign -1: below); or else at least one of these
-    pairs is in that order.
-    """
+def _pairs(text: str, metric: str, up: Keys, down: Keys, sign: int = 1, every: bool = True) -> Part:
+    """Each configuration is above each of the others (sign -1: below), or at least one such pair is."""
     count = len(up) + len(down)
     rows = []
     for first, second in itertools.product(range(len(up)), range(len(up), count)):
@@ -223,56 +202,33 @@ def _times(metric: str, algorithm: str, activation: str) -> Part:
     up, down = _one(algorithm, activation)
     rows = [(1.0, *(-TIMES * (other == one) for one in down)) for other in (None, *down)]
     text = f"{algorithm.upper()} with {NAMES[activation]} at least {TIMES} times each other activation"
-    return Part(f"{_label(metric)}: {text}", _terms([*up, *down], metric), tuple(rows))
+    return Part(f"{METRICS[metric].label}: {text}", _terms([*up, *down], metric), tuple(rows))
 
 
 def _one(algorithm: str, activation: str) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """A configuration, and those of its algorithm with another activation."""
-    others = [one for one in ACTIVATIONS if one != activation]
-    return _configurations(algorithm, [activation]), _configurations(algorithm, others)
+    return _of(algorithm, activation), _of(algorithm, *(one for one in ACTIVATIONS if one != activation))
 
 
-def _label(metric: str) -> str:
-    """A metric's name by any metric definition."""
-    return METRICS[metric].label
-
-
-def _six(
-    text: str,
-    up: Sequence[tuple[str, ...]],
-    down: Sequence[tuple[str, ...]],
-    sign: int = 1,
-    make: Any = _pairs,
-) -> list[Part]:
-    """A question to each metric of the paper's tables: some configurations are better than others (sign
-    -1: worse).
-    """
-    return [
-        make(f"{_label(name)}: {text}", name, up, down, sign * metric.better) for name, metric in SIX.items()
-    ]
+def _six(text: str, up: Keys, down: Keys, sign: int = 1, make: Any = _pairs) -> list[Part]:
+    """A question to each of the six metrics: some configurations are better than others (sign -1: worse)."""
+    return [make(f"{one.label}: {text}", name, up, down, sign * one.better) for name, one in SIX.items()]
 
 
 def _bounded(algorithm: str, metric: str, beside: bool = False) -> Part:
-    text = f"{_label(metric)}: {algorithm.upper()}'s tanh and sigmoid above its ReLU and leaky ReLU"
-    return _means(
-        text,
-        metric,
-        _configurations(algorithm, BOUNDED),
-        _configurations(algorithm, UNBOUNDED),
-        beside=beside,
-    )
+    label = f"{METRICS[metric].label}: {algorithm.upper()}"
+    text = f"{label}'s tanh and sigmoid above its ReLU and leaky ReLU"
+    return _means(text, metric, _of(algorithm, *BOUNDED), _of(algorithm, *UNBOUNDED), beside=beside)
 
 
 def _dqn_sigmoid_surges() -> list[Part]:
     terms = tuple(Term("dqn", "sigmoid", f"reward_{when}") for when in ("before", "surge", "after"))
     above = "reward of DQN with sigmoid: 300,000 to 600,000 frames above"
-    lost = (
-        "reward of DQN with sigmoid: more than half of the rise by 600,000 frames is lost in the last 100,000"
-    )
+    half = "more than half of the rise by 600,000 frames is lost in the last 100,000"
     return [
         Part(f"{above} those before", terms[:2], ((-1.0, 1.0),), paired=True),
         Part(f"{above} the last 100,000", terms[1:], ((1.0, -1.0),), paired=True),
-        Part(lost, terms, ((0.5, 0.5, -1.0),), paired=True),
+        Part(f"reward of DQN with sigmoid: {half}", terms, ((0.5, 0.5, -1.0),), paired=True),
     ]
 
 
@@ -299,18 +255,13 @@ def _dqn_takes_corridors() -> list[Part]:
 
 
 def _penalties_cure() -> list[Part]:
-    questions = {
-        "stops": "stops",
-        "full_stops": "full stops",
-        "turns": "turning",
-        "reversals": "reversals of turning per step",
-    }
+    questions = {"stops": "stops", "full_stops": "full stops", "turns": "turning"}
+    questions["reversals"] = "reversals of turning per step"
     parts = []
     for algorithm, (metric, words) in itertools.product(ALGORITHMS, questions.items()):
         first, second = ([(algorithm, one, study) for one in PAIR] for study in ("initial", "baseline"))
-        parts.append(
-            _means(f"{words}: {algorithm.upper()} more under the first reward", metric, first, second)
-        )
+        text = f"{words}: {algorithm.upper()} more under the first reward"
+        parts.append(_means(text, metric, first, second))
     return parts
 
 
@@ -357,13 +308,9 @@ def _density() -> list[Part]:
 
 
 def _own_rungs() -> Part:
-    """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope over rungs is
-    below 0.
-    """
-    configurations = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
-    terms = tuple(
-        Term(algorithm, activation, "reward", world) for world, algorithm, activation in configurations
-    )
+    """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope is below 0."""
+    worlds = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
+    terms = tuple(Term(which, activation, "reward", world) for world, which, activation in worlds)
     signs = (1, 1, -1, -1)
     weights = tuple(float(one) * sign / len(PAIR) for one in slopes(tuple(RUNGS)) for sign in signs)
     text = "reward: PPO minus DQN falls with the obstacles that both were trained among"
@@ -466,8 +413,8 @@ CLAIMS = (
             _pairs(
                 "full stops: PPO's ReLU and leaky ReLU each below its tanh and its sigmoid",
                 "full_stops",
-                _configurations("ppo", UNBOUNDED),
-                _configurations("ppo", BOUNDED),
+                _of("ppo", *UNBOUNDED),
+                _of("ppo", *BOUNDED),
                 -1,
             )
         ],
@@ -501,8 +448,8 @@ CLAIMS = (
             _means(
                 "reward: PPO's sigmoid below its ReLU and leaky ReLU",
                 "reward",
-                _configurations("ppo", ["sigmoid"]),
-                _configurations("ppo", UNBOUNDED),
+                _of("ppo", "sigmoid"),
+                _of("ppo", *UNBOUNDED),
                 -1,
             ),
         ],
@@ -625,9 +572,3 @@ PRINTED = {
     "DQN: bounded − unbounded": (7, 3),
 }
 """The differences of reward that the paper prints: the number of a claim and the place of its part."""
-
-
-def long(samples: Mapping[tuple[str, str], Array]) -> pd.DataFrame:
-    """One row a seed, as `stats.interaction` takes it: columns algorithm, activation, value."""
-    rows = [(*configuration, value) for configuration, values in samples.items() for value in values]
-    return pd.DataFrame(rows, columns=["algorithm", "activation", "value"])

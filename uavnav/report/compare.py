@@ -17,17 +17,17 @@ from rich.table import Table
 
 from uavnav import stats, style
 from uavnav.errors import did_you_mean
-from uavnav.report import configurations, curves, tables
-from uavnav.report.configurations import Configuration
+from uavnav.report import charts, configurations, tables
+from uavnav.report.configurations import Configuration, curve
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
+from uavnav.runs.lately import sparkline
 from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
 
 if TYPE_CHECKING:
-    from uavnav.tasks.baselines import AnyPolicy
     from uavnav.tasks.wrapper import WrappedTask
 
 MODE = "sampled"
@@ -36,7 +36,6 @@ MARKS = (100, 1_000, 10_000)
 """Steps after which the episodes that go on are counted."""
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
 """Fields of a `World` that are the drone's own: neither layouts nor rewards depend on them."""
-BARS = "▁▂▃▄▅▆▇█"
 WIDTHS = style.WIDTH, style.NARROW
 """Of a figure on a page and on a phone."""
 
@@ -51,10 +50,14 @@ class Contender(NamedTuple):
     configuration: Configuration | None  # a run's training; None for what was not trained here
     pilot: str = ""  # an algorithm's or a scripted policy's name, for its colour
 
+    @property
+    def reward(self) -> tuple[stats.Interval, str]:
+        """Of a test episode, and what the interval is over."""
+        return of_episodes(self.episodes["reward"], self.episodes["seed"])
+
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
-    """Rows of runs, and of scripts in `baselines/` next to the first run, are read. All else is evaluated
-    now, as the first of the runs was.
+    """Read rows of runs, and of scripts in a `baselines/` above the first run; all else is evaluated now.
 
     activation: of a zip's hidden layers.
 
@@ -92,9 +95,7 @@ def _scripted(run: str | None) -> WrappedTask:
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:
-    """A script's episodes, where a folder above a run keeps them as `uavnav evaluate` wrote them; else
-    None.
-    """
+    """A script's episodes that a folder above a run keeps, as `uavnav evaluate` wrote them; else None."""
     usual = Protocol().header()
     path = Path(run) / "config.yaml"
     if protocol != usual or not path.exists() or read_settings(path).get("task", "drone") != "drone":
@@ -140,29 +141,14 @@ def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) 
 
 def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
     """The episodes of what is no run, evaluated now; run: in whose task a scripted policy flies."""
-    from uavnav import evaluation
-    from uavnav.runs import policies
-    from uavnav.runs.policies import Policy
-    from uavnav.tasks.baselines import BASELINES, suited
+    from uavnav.evaluation import across, on
     from uavnav.tasks.table import name_of
-    from uavnav.training import display, machine
 
-    population: Mapping[int, AnyPolicy]
-    if name in BASELINES:
-        population = {0: BASELINES[name]}
-    elif policies.is_zip(name):
-        population = {0: policies.load_policy(name, greedy=False, activation=activation)}
-    else:
-        population = policies.load_policies(name, greedy=False)
-    first = next(iter(population.values()))
-    task = evaluation.on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
-    n = len(task.layouts) * len(population)
-    with machine.use_threads(1), display.episodes(name, n, protocol["max_steps"]) as tell:
-        population = {seed: suited(policy, task) for seed, policy in population.items()}
-        place = _place(name_of(task), task.reward, task.world.model_dump())
-        pilot = first.algorithm if isinstance(first, Policy) else name
-        flown = evaluation.fly(population, task, tell).episodes
-        return Contender(name, flown, protocol, place, None, pilot)
+    who = across.of_policy(name, activation).as_trained()
+    task = on(who.task or _scripted(run), **protocol)
+    rows = who.fly(task, f"on {protocol['layouts']}", quiet=False, measure=None).drop(columns="mode")
+    place = _place(name_of(task), task.reward, task.world.model_dump())
+    return Contender(name, rows, protocol, place, None, who.kind)
 
 
 def check(contenders: Sequence[Contender]) -> None:
@@ -177,9 +163,7 @@ def check(contenders: Sequence[Contender]) -> None:
 
 
 def apart(contenders: Sequence[Contender]) -> str:
-    """Which two flew in different tasks, and in what these differ, in one line; empty where all flew in
-    one.
-    """
+    """Which two flew in different tasks, and how these differ, in one line; often empty."""
     first = contenders[0]
     for other in contenders[1:]:
         differ = [key for key in first.place if key in other.place and first.place[key] != other.place[key]]
@@ -215,20 +199,14 @@ def of_episodes(values: pd.Series, seeds: pd.Series) -> tuple[stats.Interval, st
 
 
 def ahead(one: Contender, other: Contender) -> tuple[stats.Interval, str]:
-    """How much more reward one earns on the same layouts; the interval as of `of_episodes`.
-
-    The other is taken as it is: the mean of its seeds on each layout.
-    """
+    """How much more reward one earns on the same layouts than the other's mean there; as of `of_episodes`."""
     theirs = other.episodes.groupby("layout")["reward"].mean()
     gaps = (one.episodes["reward"] - one.episodes["layout"].map(theirs)).dropna()
     return of_episodes(gaps, one.episodes["seed"])
 
 
 def pairs(contenders: Sequence[Contender]) -> tables.Rows:
-    """Each pair: how much more reward one earns, and how probably a seed of one beats one of the other.
-
-    A single seed has no such probability.
-    """
+    """Each pair: how much more reward one earns, and how probably its seed beats one of the other."""
     rows = [["", "against", "more reward", "over", "probability of more", "Holm's p"]]
     by_name = {one.name: one for one in contenders}
     for pair in improvement(contenders).to_dict("records"):
@@ -267,14 +245,6 @@ def improvement(contenders: Sequence[Contender]) -> pd.DataFrame:
     )
 
 
-def spark(values: Sequence[float]) -> str:
-    """Numbers as bars, from the least to the most."""
-    known = np.asarray(values, dtype=np.float64)
-    low, high = np.nanmin(known), np.nanmax(known)
-    heights = np.nan_to_num((known - low) / ((high - low) or 1.0)) * (len(BARS) - 1)
-    return "".join(BARS[round(height)] for height in heights.tolist())
-
-
 def flown(contenders: Sequence[Contender]) -> str:
     """How all of them were evaluated."""
     episodes, layouts, limit = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
@@ -282,9 +252,7 @@ def flown(contenders: Sequence[Contender]) -> str:
 
 
 def _short(names: Sequence[str]) -> list[str]:
-    """Names without the folders that all paths among them share, so that they differ within a narrow
-    column.
-    """
+    """Names without the folders that all paths among them share."""
     paths = [name for name in names if "/" in name]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
     return [name.removeprefix(f"{shared}/") for name in names]
@@ -318,9 +286,11 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         console.print(told)
     for one in contenders:
         if one.configuration is not None:
-            line = curves.learning(one.configuration, "reward")["mean"]
+            line = charts.band(curve(one.configuration))["mean"]
             ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
-            console.print(f"{one.name}: reward per frame in training {spark(line.tolist())} {ends}")
+            console.print(
+                f"{one.name}: reward per frame in training {sparkline(line.fillna(0.0).tolist())} {ends}"
+            )
 
 
 def page(contenders: Sequence[Contender]) -> bytes:
@@ -336,10 +306,10 @@ def page(contenders: Sequence[Contender]) -> bytes:
     ]
     recorded = replays.record(shown, n_seeds=1)
     kept = survival(contenders), contenders[0].protocol["max_steps"]
-    figures = {"survival": [curves.survival(*kept, width, looks) for width in WIDTHS]}
+    figures = {"survival": [charts.survival(*kept, width, looks) for width in WIDTHS]}
     if learned:
         figures["curves"] = [
-            curves.curves(learned, "reward", {}, width=width, looks={name: looks[name] for name in learned})
+            charts.curves(learned, {}, width=width, looks={name: looks[name] for name in learned})
             for width in WIDTHS
         ]
     page = templating.page(

@@ -35,13 +35,12 @@ from uavnav.tasks.world import World
 
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
+CURVE = "curve"
 APART = ("worlds", "longer", "ambiguities", "noise")
 """Folders, in a report's, of the studies of these names, which modules of their own read."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
 NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
-"""Settings that every section names; it names others where configurations differ in them or from their
-preset.
-"""
+"""Settings that every section names, besides those in which configurations differ."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
 Key = tuple[str, str]
 """Algorithm and activation."""
@@ -57,7 +56,7 @@ class Configuration:
     runs: list[Run]
     episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
-    # by metric definition, or by curve
+    # by metric definition; and the `CURVE`
     known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -73,8 +72,7 @@ class Configuration:
 def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     """The configurations of all runs in some folders, and one line for each run or table that is of no use.
 
-    Raises:
-        RunError: a folder is missing or contains no run, or no run can be used.
+    Raises a RunError where no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
     elsewhere = [folder.resolve() for study in APART for folder in apart(folders, study)]
@@ -86,11 +84,8 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     for path in paths.values():
         try:
             configuration = read(path)
-            key = json.dumps(
-                [configuration.algorithm, configuration.activation, configuration.settings],
-                sort_keys=True,
-                default=str,
-            )
+            who = [configuration.algorithm, configuration.activation, configuration.settings]
+            key = json.dumps(who, sort_keys=True, default=str)
             configurations[key] = (
                 _merged(configurations[key], configuration) if key in configurations else configuration
             )
@@ -108,32 +103,22 @@ def apart(folders: Sequence[Path], study: str) -> list[Path]:
 
 
 def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
-    """Without the runs of a study that tunes, which has a section of its own; if it is all there is, its
-    defaults.
-    """
+    """Without the runs of a study that tunes; if it is all there is, its defaults."""
     tuned = [folder.resolve() for folder in trials.folders(folders)]
-    beside = {
-        key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)
-    }
-    defaults = {
-        key: path
-        for key, path in paths.items()
-        if any(key.is_relative_to(folder / "default") for folder in tuned)
-    }
-    return beside or defaults or paths
+
+    def below(key: Path, *parts: str) -> bool:
+        return any(key.is_relative_to(folder.joinpath(*parts)) for folder in tuned)
+
+    beside = {key: path for key, path in paths.items() if not below(key)}
+    return beside or {key: path for key, path in paths.items() if below(key, "default")} or paths
 
 
 def read(path: Path) -> Configuration:
-    """The configuration of one run.
-
-    Raises:
-        RunError: it is missing, damaged, not finished, or lacks what a report needs.
-    """
+    """The configuration of one run; raises a RunError where it lacks what a report needs."""
     run = Run(path)
     if "n_envs" not in run.config:
-        raise RunError(
-            f"{path / 'config.yaml'}: does not say in how many environments; not a run of this package"
-        )
+        lacks = "does not say in how many environments"
+        raise RunError(f"{path / 'config.yaml'}: {lacks}; not a run of this package")
     for key in ("layouts", "versions", "beyond_preset"):
         run.meta.setdefault(key, {})
     evaluation = run.evaluation()
@@ -149,9 +134,7 @@ def read(path: Path) -> Configuration:
 
 
 def _protocol(run: Run, rows: pd.DataFrame) -> str:
-    """Which evaluation was read: its file, its layouts, its split and its time limit; and which files
-    were not.
-    """
+    """Which evaluation was read: its file, layouts and time limit; and which files were not."""
     cut = rows.loc[rows["truncated"], "steps"]
     limit = rows.attrs.get("max_steps", cut.max() if len(cut) else "not known")
     layouts = rows.attrs.get("layouts", "not known")
@@ -161,10 +144,7 @@ def _protocol(run: Run, rows: pd.DataFrame) -> str:
 
 
 def settings_of(config: Mapping[str, Any], meta: Mapping[str, Any], frames: int) -> dict[str, Any]:
-    """All that a run's episodes depend on, except algorithm, activation and seeds.
-
-    A field of the world is `world.<field>`. A layout file is its checksum, whatever path led to it.
-    """
+    """All that a run's episodes depend on, except algorithm, activation and seeds; layouts are a checksum."""
     own = {"layouts": "train"} | flat(config)
     all_layouts, layouts = meta.get("layouts", {}), str(own.pop("layouts"))
     facts = {
@@ -188,9 +168,8 @@ def _merged(configuration: Configuration, other: Configuration) -> Configuration
     (added,) = other.runs
     for run in configuration.runs:
         if twice := sorted({*run.seeds} & {*added.seeds}):
-            raise RunError(
-                f"{added.path}: its seed {twice[0]} is in {run.path} already, with the same settings"
-            )
+            there = f"its seed {twice[0]} is in {run.path} already"
+            raise RunError(f"{added.path}: {there}, with the same settings")
     return replace(
         configuration,
         runs=[*configuration.runs, added],
@@ -209,9 +188,7 @@ def algorithms(keys: Iterable[Key]) -> list[str]:
 
 
 def order(key: Key) -> tuple[int | bool | str, ...]:
-    """Where a configuration stands: the paper's activations before others, the paper's algorithms before
-    those of the table.
-    """
+    """Where a configuration stands: the paper's activations first, then the paper's algorithms."""
     algorithm, activation = key
     known, of_paper = [*paper.TABLE_OF, *ALGORITHMS, algorithm], [*paper.ACTIVATIONS, activation]
     is_other = activation not in paper.ACTIVATIONS
@@ -219,20 +196,12 @@ def order(key: Key) -> tuple[int | bool | str, ...]:
 
 
 def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configuration]], str]:
-    """An algorithm's configurations in the paper's order, by how each differs from what is usual; and
-    what is usual.
-    """
-    settings = [
-        {key: show(value) for key, value in configuration.settings.items()}
-        for configuration in configurations
-    ]
+    """An algorithm's configurations by how each differs from what is usual, in order; and what is usual."""
+    settings = [{key: show(value) for key, value in one.settings.items()} for one in configurations]
     differing = {key for one in settings for key in one if len({other.get(key) for other in settings}) > 1}
     differing -= {"total_frames"} if "frames" in differing else set()
     beyond = {
-        key
-        for configuration in configurations
-        for run in configuration.runs
-        for key in flat(run.meta["beyond_preset"])
+        key for one in configurations for run in one.runs for key in flat(run.meta["beyond_preset"])
     } - {"layouts"}
     named = [*NAMED, *sorted((differing | beyond).difference(NAMED))]
     usual = {
@@ -266,11 +235,7 @@ def episodes_of(configuration: Configuration, definition: str) -> pd.DataFrame:
 
 
 def read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
-    """A row a seed and a column a metric; no rows where there are no episodes, or the log's rhythm is not
-    known.
-
-    It is worked out once, however often it is asked for: leave the table as it is.
-    """
+    """A row a seed and a column a metric, worked out once; no rows without episodes, or an unknown rhythm."""
     if definition not in configuration.known:
         configuration.known[definition] = _read_as(
             configuration, definition, episodes_of(configuration, definition)
@@ -290,27 +255,20 @@ def _read_as(configuration: Configuration, definition: str, episodes: pd.DataFra
     return per_seed(episodes, ratio_of_means=definition == TOTALS)
 
 
-def windowed(
-    configuration: Configuration, column: str, windows: Sequence[tuple[float, float]]
-) -> pd.DataFrame:
-    """A column of training per frame in windows of frames: a row a seed, a column a window
-    (`definitions.within`).
-    """
+def windowed(configuration: Configuration, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
+    """Reward of training per frame: a row a seed, a column a window of frames (`definitions.within`)."""
     own = configuration.settings
-    at_end = {"reward": own.get("world.collision_reward", World().collision_reward), "terminated": 1.0}
-    return within(configuration.episodes, column, windows, own["n_envs"], at_end.get(column, 0.0))
+    at_end = own.get("world.collision_reward", World().collision_reward)
+    return within(configuration.episodes, "reward", windows, own["n_envs"], at_end)
 
 
-def curve(configuration: Configuration, column: str) -> pd.DataFrame:
-    """A column per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed.
-
-    It is worked out once, as `read_as` is.
-    """
-    if column not in configuration.known:
+def curve(configuration: Configuration) -> pd.DataFrame:
+    """Reward per frame in each of `BINS` stretches of training (index: its middle) and of each seed, once."""
+    if CURVE not in configuration.known:
         edges = np.linspace(0, configuration.settings["frames"], BINS + 1)
-        seeds = windowed(configuration, column, [*itertools.pairwise(edges)])
-        configuration.known[column] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
-    return configuration.known[column]
+        seeds = windowed(configuration, [*itertools.pairwise(edges)])
+        configuration.known[CURVE] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
+    return configuration.known[CURVE]
 
 
 def show(value: object) -> str:

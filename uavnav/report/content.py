@@ -72,8 +72,8 @@ class Content:
     def of_the_study(self) -> bool:
         """Whether the main study is the one that answers for the paper, and all of it."""
         named = [
-            studies.PLACES.get(configuration.study) == "main"
-            for configuration in studies.paper_configurations(self.studies.main).values()
+            studies.PLACES.get(one.study) == "main"
+            for one in studies.paper_configurations(self.studies.main).values()
         ]
         return not self.missing and all(named)
 
@@ -88,10 +88,7 @@ class Content:
     @property
     def flown(self) -> dict[str, pd.DataFrame]:
         """Each configuration's test episodes as a row a seed, sampled, by the folder of its first run."""
-        read = {
-            str(configuration.runs[0].path): read_as(configuration, SAMPLED)
-            for configuration in self.configurations
-        }
+        read = {str(one.runs[0].path): read_as(one, SAMPLED) for one in self.configurations}
         return {name: seeds for name, seeds in read.items() if len(seeds)}
 
     @functools.cached_property
@@ -103,13 +100,10 @@ class Content:
     def paper_tables(self) -> dict[str, list[list[str]]]:
         """The main study as in the paper's tables, by algorithm: the paper's, and whatever else has runs."""
         of_paper = studies.paper_configurations(self.studies.main)
-        others = algorithms(
-            (configuration.algorithm, configuration.activation) for configuration in self.configurations
-        )
+        others = algorithms((one.algorithm, one.activation) for one in self.configurations)
         return {
             algorithm: tables.table(
-                [(key[1], configuration) for key, configuration in of_paper.items() if key[0] == algorithm],
-                algorithm,
+                [(key[1], one) for key, one in of_paper.items() if key[0] == algorithm], algorithm
             )
             for algorithm in dict.fromkeys([*paper.TABLE_OF, *others])
         }
@@ -123,35 +117,24 @@ def gather(
 ) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
 
-    fly: what gives the replays of some configurations; found: what `collect` gave, if it was asked; tell: is
-        told each step of the work.
+    fly: gives the replays of some configurations; found: what `collect` gave; tell: is told each step.
 
-    Raises:
-        RunError: a folder is missing or contains no run, or no run can be used.
+    Raises a RunError where no run can be used.
     """
     configurations, left_out = found or collect(folders)
-    sorted_configurations = studies.sort(configurations)
-    left_out += studies.in_none(sorted_configurations)
-    of_paper = studies.paper_configurations(sorted_configurations.main)
+    dealt = studies.sort(configurations)
+    left_out += studies.in_none(dealt)
+    main, of_paper = dealt.main, studies.paper_configurations(dealt.main)
     shown = dict.fromkeys([*of_paper.values(), *studies.elsewhere(configurations)])
-    flying = [
-        replays.Trained(configuration.algorithm, configuration.activation, configuration.runs)
-        for configuration in shown
-    ]
+    flying = [replays.Trained(one.algorithm, one.activation, one.runs) for one in shown]
     # what nothing else waits for flies meanwhile
-    with (
-        machine.use_threads(1),
-        ThreadPoolExecutor(1) as beside,
-    ):
+    with machine.use_threads(1), ThreadPoolExecutor(1) as beside:
         replayed = beside.submit(fly, flying)
         tell("measuring episodes")
-        episodes, by_layout, watched, problems = watch(sorted_configurations)
+        episodes, by_layout, watched, problems = watch(dealt)
         baselines, unread = frames.baselines(folders)
         tuned, winners, untuned = tuning.read(folders, baselines)
-        evidence = {
-            definition: Rows(sorted_configurations, definition, episodes, by_layout, winners)
-            for definition in DEFINITIONS
-        }
+        evidence = {one: Rows(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
         tell("judging the claims")
         audits, errs = {}, []
         for column, definition in COLUMNS.items():
@@ -159,30 +142,44 @@ def gather(
             audits[column] = audit(evidence[definition], printed, asked(CLAIMS, column))
             shares = characteristics(evidence[definition], printed, asked(CLAIMS, column))
             errs.append(shares.assign(column=column))
-        survival, survived = frames.survival(sorted_configurations.main, baselines)
+        survival, survived = frames.survival(main, baselines)
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
-        carried = frames.carried(sorted_configurations, evidence[PRIMARY])
+        carried = frames.carried(dealt, evidence[PRIMARY])
         tell("working out tables")
-        numbers = _tables(sorted_configurations, episodes) | {
+        values, vectorised = frames.per_seed_values(main), studies.paper_configurations(dealt.vectorised)
+        numbers = {
+            "seeds": values,
+            "metrics": frames.estimates(values),
+            "one_run": frames.one_run(values),
+            "tuned": frames.estimates(frames.per_seed_values(dealt.tuned)),
+            "improvement": frames.improvement(of_paper),
+            "interaction": frames.interactions(values),
+            "power": frames.power(main),
+            "behaviour": frames.flown(episodes),
+            "diagnostics": frames.diagnostics(of_paper),
+            "sensitivity": frames.sensitivity(dealt),
+            "configurations": frames.sizes(dealt),
+            "effects": frames.effects(dealt),
+            "worlds": frames.one_against_many(dealt),
+            "vectorised": frames.estimates(frames.per_seed_values(vectorised)),
+            "wide": frames.estimates(frames.per_seed_values(studies.wide(dealt))),
+            "speed": frames.speed(of_paper),
             "whys": whys.table(evidence[PRIMARY]),
             "overestimation": overestimated,
             "survival": survived,
             "predictions": predictions,
             "gaps": (gaps := frames.gaps(of_paper, baselines)),
             "passing": frames.passing(gaps),
-            "by_default": frames.by_default(sorted_configurations, winners),
+            "by_default": frames.by_default(dealt, winners),
             "fits": frames.fits(predictions, evidence),
             "peaks": frames.peaks(of_paper, evidence[LOG_CURVE]),
             **tuned,
         }
-        if sorted_configurations.tuned:
-            numbers["fast"] = frames.gaps(sorted_configurations.tuned, baselines)
+        if dealt.tuned:
+            numbers["fast"] = frames.gaps(dealt.tuned, baselines)
         if len(carried):
-            numbers |= {
-                "carried": carried,
-                "further": frames.gaps(studies.further(sorted_configurations), baselines),
-            }
+            numbers |= {"carried": carried, "further": frames.gaps(studies.further(dealt), baselines)}
         if of_worlds := worlds.gather(folders):
             elsewhere = worlds.Evidence(of_worlds.seeds)
             for column in (FINAL, OTHER):
@@ -208,7 +205,7 @@ def gather(
         flown = replayed.result()
     return Content(
         configurations,
-        sorted_configurations,
+        dealt,
         audits,
         numbers,
         drawn,
@@ -221,8 +218,7 @@ def gather(
 
 
 def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, list[str]]:
-    """Measures of episodes by mode and seed, by mode and layout, the episodes, and a line for what could not
-    be read.
+    """Measures of episodes by mode and seed, by mode and layout, the episodes, and lines for what was unread.
 
     Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the
     empty arena: the measures there are `empty_...`, the `layout` is -1.
@@ -232,13 +228,13 @@ def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, li
     problems = []
     for study in (*WATCHED, *all_configurations.why):
         for key, configuration in studies.paper_configurations(all_configurations.of(study)).items():
+            place = (study, *key)
             for found, in_arena in ((tables, False), (empty, True)):
-                if found is tables or (study == "main" and (study, *key) in tables):
-                    rows, lines = _of_runs(
-                        configuration, functools.partial(behaviour.read, in_arena=in_arena)
-                    )
+                if found is tables or (study == "main" and place in tables):
+                    read = functools.partial(behaviour.read, in_arena=in_arena)
+                    rows, lines = _of_runs(configuration, read)
                     problems += lines
-                    found |= {(study, *key): pd.concat(rows, ignore_index=True)} if rows else {}
+                    found |= {place: pd.concat(rows, ignore_index=True)} if rows else {}
     world, all_layouts = World(), layouts.load("test")
     measured, by_layout = {}, {}
     for place, table in tables.items():
@@ -283,30 +279,3 @@ def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFram
     return pd.concat(parts or [pd.DataFrame(columns=["configuration", *columns])], ignore_index=True)[
         ["configuration", *columns]
     ], problems
-
-
-def _tables(all_configurations: Studies, episodes: Episodes) -> dict[str, pd.DataFrame]:
-    values, of_paper = (
-        frames.per_seed_values(all_configurations.main),
-        studies.paper_configurations(all_configurations.main),
-    )
-    return {
-        "seeds": values,
-        "metrics": frames.estimates(values),
-        "one_run": frames.one_run(values),
-        "tuned": frames.estimates(frames.per_seed_values(all_configurations.tuned)),
-        "improvement": frames.improvement(of_paper),
-        "interaction": frames.interactions(all_configurations.main),
-        "power": frames.power(all_configurations.main),
-        "behaviour": frames.flown(episodes),
-        "diagnostics": frames.diagnostics(of_paper),
-        "sensitivity": frames.sensitivity(all_configurations),
-        "configurations": frames.sizes(all_configurations),
-        "effects": frames.effects(all_configurations),
-        "worlds": frames.one_against_many(all_configurations),
-        "vectorised": frames.estimates(
-            frames.per_seed_values(studies.paper_configurations(all_configurations.vectorised))
-        ),
-        "wide": frames.estimates(frames.per_seed_values(studies.wide(all_configurations))),
-        "speed": frames.speed(of_paper),
-    }

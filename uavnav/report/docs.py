@@ -1,5 +1,4 @@
-"""docs/results.md, and the blocks of results in the README and docs/algorithms.md, from the report's own
-source.
+"""docs/results.md, and the blocks of results in README.md and docs/algorithms.md, from the report's source.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -33,16 +32,12 @@ def summary(content: Content) -> str:
 
 
 def choice(content: Content, benchmarks: str) -> str:
-    """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which says what each
-    costs.
-    """
+    """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which has the costs."""
     return render("choice.md", content, costs=costs(benchmarks)).strip()
 
 
 def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
-    """The time and the memory of a million frames of ten seeds, by algorithm: of full buffers where there
-    are any.
-    """
+    """Time and memory of a million frames of ten seeds, by algorithm; of full buffers where there are any."""
     times, memory = {}, {}
     for lines in benchmarks.split("\n\n"):
         head, *rows = (
@@ -60,11 +55,7 @@ def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
 
 
 def between_marks(text: str, new: str, where: str = "README.md", block: str = "results") -> str:
-    """A text with what is between its marks replaced.
-
-    Raises:
-        RunError: it has no marks.
-    """
+    """A text with what is between its marks replaced; raises a RunError where it has no marks."""
     first, last = f"<!-- {block} -->", f"<!-- end of {block} -->"
     before, begin, rest = text.partition(first)
     _, end, after = rest.partition(last)
@@ -74,9 +65,7 @@ def between_marks(text: str, new: str, where: str = "README.md", block: str = "r
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write docs/results.md and the blocks of results in README.md and docs/algorithms.md from the runs
-    in a folder.
-    """
+    """Write docs/results.md and the blocks of results in README.md and docs/algorithms.md."""
     parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
     parser.add_argument(
         "folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)"

@@ -1,6 +1,4 @@
-"""The one table of evidence: a row a claim of the paper, 1 to 16, with its grade in each column, its parts
-and what our seeds say.
-"""
+"""The one table of evidence: a row a claim, with its grades, its parts and what our seeds say."""
 
 from __future__ import annotations
 
@@ -30,45 +28,30 @@ class Row(NamedTuple):
 
 
 def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
-    """A row a claim; those on other tasks where a folder has that study. prose: of `quotes`; root: of
-    its links.
-    """
+    """A row a claim; 12 to 16 where a folder has that study. prose: of `quotes`; root: of links."""
     quotes = Quotes(content.tables, root)
-    return [_row(claim, content, prose, quotes) for claim in (EVERY if content.worlds else CLAIMS)]
-
-
-def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quotes) -> Row:
-    found = {column: of_claim(content.audits[column], claim.number) for column in COLUMNS}
-    grades = content.tables["grades"]
-    own = grades[grades["claim"] == claim.number]
-    return Row(
-        claim.number,
-        claim.sentence,
-        claim.note,
-        claim.column,
-        next(iter(own.loc[own["column"] == claim.column, "grade"]), OPEN),
-        {column: _graded(own[own["column"] == column], quotes) for column in COLUMNS},
-        prose[f"claim_{claim.number}"] or _generic(claim, content, quotes),
-        {column: tables.audit_rows(found[column]) for column in COLUMNS if column in [*own["column"]]},
-    )
-
-
-def _graded(own: pd.DataFrame, quotes: Quotes) -> str:
-    """A claim's grade in a column, how many of its parts replicate, and the seeds behind it; a dash without a
-    row of `frames.grades`.
-    """
-    for place, one in own.iterrows():
-        seeds = " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
-        counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
-        return f"{quotes.link(one['grade'], 'grades', int(str(place)))}{counts}, n\u00a0=\u00a0{seeds}"
-    return tables.NOTHING
+    found = []
+    for claim in EVERY if content.worlds else CLAIMS:
+        graded, parts, own = dict.fromkeys(COLUMNS, tables.NOTHING), {}, OPEN
+        grades = content.tables["grades"].query("claim == @claim.number")
+        for place, one in grades.to_dict("index").items():
+            column, seeds = one["column"], " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
+            counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
+            grade = quotes.link(one["grade"], "grades", int(str(place)))
+            graded[column] = f"{grade}{counts}, n\u00a0=\u00a0{seeds}"
+            parts[column] = tables.audit_rows(of_claim(content.audits[column], claim.number))
+            own = one["grade"] if column == claim.column else own
+        said = prose[f"claim_{claim.number}"] or _generic(claim, content, quotes)
+        in_order = {column: parts[column] for column in COLUMNS if column in parts}
+        row = claim.number, claim.sentence, claim.note, claim.column, own, graded, said, in_order
+        found.append(Row(*row))
+    return found
 
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
-    verdicts = content.tables["verdicts"]
-    chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
-    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].iterrows():
+    chosen = f"claim == @claim.number and column == @claim.column and standing == {COUNTS!r}"
+    for place, one in content.tables["verdicts"].query(chosen).iterrows():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
         return f"{one['text']}: {quotes.link(effect, 'verdicts', int(str(place)))}"
     return "No part that counts has runs."

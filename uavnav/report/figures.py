@@ -10,10 +10,10 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, frames, longer, worlds
+from uavnav.report import arena, behaviour, charts, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
-from uavnav.report.frames import RULE, name
+from uavnav.report.frames import LIMIT, RULE, least_to_most, name
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import COUNTS
 from uavnav.report.worlds import Worlds
@@ -47,43 +47,25 @@ def draw(
     of_worlds: Worlds | None = None,
     width: float = style.WIDTH,
 ) -> list[Figure]:
-    """All figures, in the order of the page.
+    """All figures, in the order of the page; width: of each [inches].
 
     configurations: of the paper's activations in the main study; numbers: the report's tables by name;
-    episodes: steps by study, algorithm and activation; survival: curves by configuration; width: of the
-    figures [inches].
+    episodes: steps by study, algorithm and activation; survival: curves by configuration.
     """
     flown = {key[1:]: table for key, table in episodes.items() if key[0] == "main"}
-    found = [_first(numbers["seeds"], numbers["gaps"], width), _forest(numbers["verdicts"], width)]
-    found += _curves(configurations, width)
-    found += [
+    found = [
+        _first(numbers["seeds"], numbers["gaps"], width),
+        _forest(numbers["verdicts"], width),
+        *_curves(configurations, width),
         _training(numbers["seeds"], numbers["gaps"], width),
         *_paths(flown, width),
         *_places(flown, width),
+        _survival(configurations, numbers["survival"], survival, width),
     ]
-    found.append(_survival(configurations, numbers["survival"], survival, width))
-    if len(numbers["behaviour"]):
-        sampled = numbers["behaviour"].query("mode == 'sampled'")
-        drawn = charts.behaviours(
-            sampled[["configuration", "algorithm", "activation", "seed", *frames.MEASURES]], width
-        )
-        caption = (
-            "Each small dot is a seed, the bar its configuration's 95 % interval; sampled episodes on "
-            "test layouts."
-        )
-        found.append(Figure("behaviour", "behaviour", drawn, caption))
-    if len(numbers["sensitivity"]):
-        caption = (
-            "The band is the interval as decided; an interval on the other side of zero flips a conclusion."
-        )
-        found.append(
-            Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"], width), caption)
-        )
     if of_worlds and (density := worlds.ladder(of_worlds, "density", width)):
         caption = (
-            "The density ladder: policies trained in the paper's task, means over activations with Welch's "
-            "95 %"
-            " intervals over seeds. Dotted and dashed: scripts."
+            "The density ladder: policies trained in the paper's task, means over activations with Welch's"
+            " 95 % intervals over seeds. Dotted and dashed: scripts."
         )
         found.append(Figure("worlds-density", "worlds", density, caption))
     if longer.STUDY in numbers:
@@ -98,12 +80,11 @@ def draw(
 def _forest(verdicts: pd.DataFrame, width: float) -> Figure:
     """The effects on reward that the paper prints, by both ways of averaging training."""
     rows = []
+    known = verdicts.set_index(["claim", "column", "text"]).to_dict("index")
     for label, (number, place) in PRINTED.items():
         for column in (TRAINING, LOG):
-            text = EVERY[number - 1].asks(column)[place].text
-            chosen = verdicts["claim"].eq(number) & verdicts["column"].eq(column) & verdicts["text"].eq(text)
-            one = verdicts[chosen].iloc[0]
-            ends = one[["ratio", "ratio_low", "ratio_high"]].astype(float)
+            one = known[number, column, EVERY[number - 1].asks(column)[place].text]
+            ends = (one[end] for end in ("ratio", "ratio_low", "ratio_high"))
             rows.append([label, column, *ends, one["standing"] == COUNTS])
     table = pd.DataFrame(rows, columns=["row", "column", "ratio", "low", "high", "counts"])
     caption = (
@@ -116,53 +97,45 @@ def _forest(verdicts: pd.DataFrame, width: float) -> Figure:
 
 def _of_rule(gaps: pd.DataFrame, column: str) -> float:
     """What the scripted policy reaches on the test layouts; NaN without its episodes."""
-    found = gaps.loc[gaps["who"] == RULE, column]
-    return float(found.iloc[0]) if len(found) else np.nan
+    return float(next(iter(gaps.loc[gaps["who"] == RULE, column]), np.nan))
 
 
 def _curves(configurations: Configurations, width: float) -> list[Figure]:
     found = []
     for algorithm in dict.fromkeys([*paper.TABLE_OF, *algorithms(configurations)]):
-        mine = {
-            activation: configuration
-            for (which, activation), configuration in configurations.items()
-            if which == algorithm
-        }
+        mine = {key[1]: one for key, one in configurations.items() if key[0] == algorithm}
         printed = {one: paper.printed(algorithm, one, "reward", per_frame=True) for one in mine}
         number = paper.CURVES_OF.get(algorithm)
         beside = f", as the paper's Figure {number}" if number else ""
         dashed = "; dashed: the paper's mean" if number else ""
         caption = (
-            f"{algorithm.upper()}{beside}: {words('reward', PER_FRAME)} in each stretch of training, of all "
-            "seeds and"
-            f" episodes, open ones too. Line: {curves.LINES['reward']}; band: its 95 % interval over "
-            f"seeds{dashed}."
+            f"{algorithm.upper()}{beside}:"
+            f" {words('reward', PER_FRAME)} in each stretch of training, of all seeds and episodes, open ones"
+            " too. Line: mean over seeds; band: its 95 % interval over seeds"
+            f"{dashed}."
         )
         known = {name: mean for name, mean in printed.items() if np.isfinite(mean)}
-        drawn = curves.curves(mine, "reward", known, f"{algorithm.upper()}: ", width)
+        drawn = charts.curves(mine, known, f"{algorithm.upper()}: ", width)
         found.append(Figure(f"curves-{algorithm}-reward", "curves", drawn, caption))
     return found
 
 
 def _training(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     """Configurations side by side by their reward in training."""
-    rule, seeds = _of_rule(gaps, "per_frame"), _seeds(values, PRIMARY, "reward")
+    rule = _of_rule(gaps, "per_frame")
     printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
     caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
     if np.isfinite(rule):
         caption += f" Dashed: the scripted policy `{RULE}` on the test layouts."
-    drawn = charts.intervals(seeds, printed, words("reward", PRIMARY), rule, width)
+    drawn = charts.intervals(_rewards(values, PRIMARY), printed, words("reward", PRIMARY), rule, width)
     return Figure("configurations-reward", "tables", drawn, caption)
 
 
 def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     """The figure of the first screen, as wide as the page: the reward of test episodes, with the rule's."""
-    seeds, sampled = _seeds(values, SAMPLED, "reward"), gaps[gaps["mode"] == MODES[1]]
-    rows = {
-        row["who"]: (seeds[row["who"]], Interval(row["reward"], row["low"], row["high"], row["n"]))
-        for row in sampled.to_dict("records")
-        if row["who"] in seeds
-    }
+    seeds, sampled = _rewards(values, SAMPLED), gaps[gaps["mode"] == MODES[1]]
+    known = sampled[sampled["who"].isin(seeds)].set_index("who")[["reward", "low", "high", "n"]]
+    rows = {str(who): (seeds[str(who)], Interval(*one)) for who, *one in known.itertuples()}
     full = style.FULL if width >= style.WIDTH else width
     looks = {label: (style.of_pilot(label), "-") for label in rows}
     drawn = charts.episodes(rows, looks, _of_rule(gaps, "reward"), "reward an episode, new obstacles", full)
@@ -172,25 +145,21 @@ def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     return Figure("configurations-episodes", "first", drawn, f"{caption}{limit} The paper: {paper.TITLE}.")
 
 
-def _seeds(values: pd.DataFrame, definition: str, metric: str) -> dict[str, Array]:
+def _rewards(values: pd.DataFrame, definition: str) -> dict[str, Array]:
     """Each of the paper's configurations: one number a seed [S]."""
-    shown = values[(values["definition"] == definition) & (values["metric"] == metric)]
-    return {
-        name(*(str(one) for one in key)): part["value"].dropna().to_numpy()
-        for key, part in shown.groupby(["algorithm", "activation"], sort=False)
-        if key[1] in paper.ACTIVATIONS
-    }
+    shown = values[(values["definition"] == definition) & (values["metric"] == "reward")]
+    shown = shown[shown["activation"].isin(paper.ACTIVATIONS)]
+    by = shown.groupby(["algorithm", "activation"], sort=False)["value"]
+    return {name(*map(str, key)): part.dropna().to_numpy() for key, part in by}
 
 
 def _paths(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[Figure]:
-    shown = {
-        name(*key): table[table["layout"] >= 0] for key, table in flown.items() if key[1] == SHOWN_ACTIVATION
-    }
+    chosen = {key: table for key, table in flown.items() if key[1] == SHOWN_ACTIVATION}
+    shown = {name(*key): table[table["layout"] >= 0] for key, table in chosen.items()}
     if not shown:
         return []
-    drawn = arena.trajectories(
-        shown, layouts.load("test").numpy(), SHOWN_LAYOUTS, World(), mode="sampled", width=width
-    )
+    sets = layouts.load("test").numpy()
+    drawn = arena.trajectories(shown, sets, SHOWN_LAYOUTS, World(), mode="sampled", width=width)
     caption = (
         f"As the paper's Figures {' and '.join(map(str, paper.PATHS))}: the first seed's episodes on"
         f" {len(SHOWN_LAYOUTS)} test layouts, at most {WATCHED_STEPS} steps, as in training (sampled), with"
@@ -203,18 +172,18 @@ def _places(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list
     """Heat maps, a panel an algorithm."""
     chosen = "mode == 'sampled' and layout >= 0"
     sampled = {key: part for key, table in flown.items() if len(part := table.query(chosen))}
-    maps = {}
-    for algorithm in algorithms(sampled):
-        mine = [behaviour.heat(table, World()) for (which, _), table in sampled.items() if which == algorithm]
-        maps[algorithm.upper()] = np.mean(mine, axis=0)
-    if not maps:
+    if not sampled:
         return []
+    heat = {key: behaviour.heat(table, World()) for key, table in sampled.items()}
+    maps = {
+        one.upper(): np.mean([own for key, own in heat.items() if key[0] == one], axis=0)
+        for one in algorithms(sampled)
+    }
     activations = len({activation for _, activation in flown})
-    n = frames.least_to_most((table["seed"].nunique() for table in sampled.values()), "seed")
+    n = least_to_most((table["seed"].nunique() for table in sampled.values()), "seed")
     caption = (
-        f"Where the drones are on {WATCHED_LAYOUTS} test layouts: share of steps in each square, of every "
-        "seed and"
-        f" activation alike ({activations} activations, {n} each)."
+        f"Where the drones are on {WATCHED_LAYOUTS} test layouts: share of steps in each square, of every"
+        f" seed and activation alike ({activations} activations, {n} each)."
     )
     return [Figure("heat", "behaviour", arena.heat_maps(maps, World(), width), caption)]
 
@@ -228,8 +197,7 @@ def _survival(
     episodes = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
     episodes |= {style.RULE: survival[RULE]} if RULE in survival else {}
     caption = (
-        "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and "
-        "is no collision."
-        " Sampled."
+        "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and"
+        " is no collision. Sampled."
     )
-    return Figure("survival", "statistics", curves.survival(episodes, frames.LIMIT, width), caption)
+    return Figure("survival", "statistics", charts.survival(episodes, LIMIT, width), caption)

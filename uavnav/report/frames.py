@@ -18,7 +18,7 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import claims
-from uavnav.report.claims import BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, Evidence, long
+from uavnav.report.claims import BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, Evidence
 from uavnav.report.configurations import (
     Configuration,
     Key,
@@ -29,14 +29,7 @@ from uavnav.report.configurations import (
     read_as,
     windowed,
 )
-from uavnav.report.studies import (
-    AFTER,
-    Configurations,
-    Studies,
-    hours,
-    paper_configurations,
-    timed,
-)
+from uavnav.report.studies import AFTER, Configurations, Studies, hours, paper_configurations, timed
 from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, PER_FRAME, SAMPLED
@@ -99,9 +92,7 @@ def of_seeds(configuration: Configuration, definition: str, metric: str = "rewar
 
 
 def per_seed_values(configurations: Configurations) -> pd.DataFrame:
-    """Every metric of every seed in every metric definition: algorithm, activation, definition, metric,
-    seed, value.
-    """
+    """Columns algorithm, activation, definition, metric, seed, value."""
     parts = []
     for (algorithm, activation), configuration in configurations.items():
         for definition in DEFINITIONS:
@@ -116,20 +107,15 @@ def per_seed_values(configurations: Configurations) -> pd.DataFrame:
 
 
 def estimates(values: pd.DataFrame) -> pd.DataFrame:
-    """Mean and interquartile mean over seeds, with 95 % intervals, and the paper's number in the same
-    metric definition.
-    """
+    """Mean and interquartile mean over seeds, with 95 % intervals, and the paper's number."""
     rows = []
     keys = ["algorithm", "activation", "definition"]
     numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
     for key, part in values.groupby(keys, sort=False):
         algorithm, activation, definition = map(str, key)
-        of_metrics = {
-            str(metric): own.to_numpy(np.float64)
-            for metric, own in part.groupby("metric", sort=False)["value"]
-        }
-        found = _intervals(tuple(own.tobytes() for own in of_metrics.values()))
-        for metric, (mean, middle) in zip(of_metrics, found, strict=True):
+        seeds = dict(iter(part.groupby("metric", sort=False)["value"]))
+        found = _intervals(tuple(own.to_numpy(np.float64).tobytes() for own in seeds.values()))
+        for metric, (mean, middle) in zip(map(str, seeds), found, strict=True):
             printed = paper.printed(algorithm, activation, metric, definition == PER_FRAME)
             rows.append([*key, metric, mean.n, *mean[:3], *middle[:3], printed])
     return pd.DataFrame(rows, columns=[*keys, "metric", *numbers])
@@ -137,9 +123,7 @@ def estimates(values: pd.DataFrame) -> pd.DataFrame:
 
 @functools.lru_cache(maxsize=8192)
 def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
-    """Mean and interquartile mean of rows of float64 [S] as bytes: page and report.md ask for many of
-    them twice.
-    """
+    """Mean and interquartile mean of rows of float64 [S] as bytes; page and report.md ask twice."""
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 
@@ -150,9 +134,7 @@ def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
 
 
 def grades(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """The grade of each claim in each column that has runs for it: columns claim, column, grade, how many
-    parts replicate of those that count, and the least and the most seeds of a part.
-    """
+    """Columns claim, column, grade, replicating, counting (parts), least and most seeds of a part."""
     rows = []
     for column, findings in audits.items():
         for number in dict.fromkeys(one.claim for one in findings):
@@ -165,53 +147,38 @@ def grades(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
 
 
 def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
-    """Each of the paper's numbers, which is one run's, among our seeds (`stats.prediction`); evidence: by
-    metric definition.
-    """
+    """Each of the paper's numbers among our seeds (`stats.prediction`); evidence: by metric definition."""
     rows = []
-    for definition, (configuration, metric) in itertools.product(
-        evidence, itertools.product(paper.TABLES, paper.COLUMNS)
-    ):
-        number = paper.printed(*configuration, metric, definition == PER_FRAME)
-        found = stats.prediction(evidence[definition](*configuration, metric), number)
-        rows.append([*configuration, metric, definition, number, *found])
+    for definition, key, metric in itertools.product(evidence, paper.TABLES, paper.COLUMNS):
+        number = paper.printed(*key, metric, definition == PER_FRAME)
+        found = stats.prediction(evidence[definition](*key, metric), number)
+        rows.append([*key, metric, definition, number, *found])
     columns = ["algorithm", "activation", "metric", "definition", "paper", *stats.Prediction._fields]
     return pd.DataFrame(rows, columns=columns)
 
 
 def improvement(configurations: Configurations) -> pd.DataFrame:
-    """For each pair of configurations, how probably a seed of the one beats a seed of the other
-    (`stats.improvement`).
-    """
-    return stats.improvement(
-        {name(*key): of_seeds(configuration, PRIMARY) for key, configuration in configurations.items()}
-    )
+    """How probably a seed of one configuration beats a seed of another (`stats.improvement`)."""
+    return stats.improvement({name(*key): of_seeds(one, PRIMARY) for key, one in configurations.items()})
 
 
-def interactions(configurations: Configurations) -> pd.DataFrame:
-    """Whether activations change places between the paper's algorithms: by metric and definition,
-    `stats.interaction`.
-    """
+def interactions(values: pd.DataFrame) -> pd.DataFrame:
+    """Whether activations change places between the paper's algorithms (`stats.interaction`)."""
     rows = []
+    of_paper = [key in paper.TABLES for key in zip(values["algorithm"], values["activation"], strict=True)]
+    known = values[of_paper].dropna()
     for definition, metric in itertools.product((PRIMARY, SAMPLED), ("reward", "steps", "distance")):
-        samples = {
-            key: of_seeds(configuration, definition, metric)
-            for key, configuration in configurations.items()
-            if key in paper.TABLES
-        }
-        found = stats.interaction(long(samples))
-        rows.append({"definition": definition, "metric": metric, **found._asdict()})
-    return pd.DataFrame(rows)
+        own = known[(known["definition"] == definition) & (known["metric"] == metric)]
+        rows.append([definition, metric, *stats.interaction(own[["algorithm", "activation", "value"]])])
+    return pd.DataFrame(rows, columns=["definition", "metric", *stats.Interaction._fields])
 
 
 def survival(
     configurations: Configurations, baselines: Mapping[str, pd.DataFrame]
 ) -> tuple[dict[str, pd.Series], pd.DataFrame]:
-    """Kaplan-Meier curves of sampled episodes, all seeds together, and restricted means over seeds with
-    intervals.
-    """
+    """Kaplan-Meier curves of sampled episodes, all seeds together, and restricted means over seeds."""
     curves, rows = {}, []
-    flown = {name(*key): episodes_of(configuration, SAMPLED) for key, configuration in configurations.items()}
+    flown = {name(*key): episodes_of(one, SAMPLED) for key, one in configurations.items()}
     for label, part in {**flown, **baselines}.items():
         if part.empty:
             continue
@@ -227,30 +194,22 @@ def survival(
 
 
 def power(configurations: Configurations) -> pd.DataFrame:
-    """Seeds a configuration that find the paper's difference in reward of two activations of an
-    algorithm: 80 % power at 5 %.
-    """
+    """Seeds that find the paper's difference in reward of two activations: 80 % power at 5 %."""
     rows = []
-    for algorithm in algorithms(configurations):
-        mine = {
-            activation: configuration
-            for (which, activation), configuration in paper_configurations(configurations).items()
-            if which == algorithm
-        }
-        values = {activation: of_seeds(configuration, PRIMARY) for activation, configuration in mine.items()}
-        for a, b in itertools.combinations(values, 2):
-            n = min(len(values[a]), len(values[b]))
-            first, second = (paper.printed(algorithm, one, "reward", PRIMARY == PER_FRAME) for one in (a, b))
-            needed = stats.seeds_needed(values[a], values[b], first - second)
-            rows.append({"pair": f"{algorithm.upper()}: {a} and {b}", "n": n, "seeds": needed})
+    known = {key: of_seeds(one, PRIMARY) for key, one in paper_configurations(configurations).items()}
+    for a, b in itertools.combinations(sorted(known, key=order), 2):
+        if a[0] == b[0]:
+            first, second = (paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in (a, b))
+            needed = stats.seeds_needed(known[a], known[b], first - second)
+            rows.append([f"{a[0].upper()}: {a[1]} and {b[1]}", min(len(known[a]), len(known[b])), needed])
     return pd.DataFrame(rows, columns=["pair", "n", "seeds"])
 
 
 def flown(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
     """What episodes of the main study look like, one row a configuration, mode and seed."""
     parts = [
-        table.assign(configuration=name(algorithm, activation), algorithm=algorithm, activation=activation)
-        for (study, algorithm, activation), table in episodes.items()
+        table.assign(configuration=name(*key), algorithm=key[0], activation=key[1])
+        for (study, *key), table in episodes.items()
         if study == "main"
     ]
     columns = ["mode", "seed", "configuration", "algorithm", "activation"]
@@ -263,64 +222,147 @@ def diagnostics(configurations: Configurations) -> pd.DataFrame:
     for key, configuration in configurations.items():
         progress = pd.concat([run.progress for run in configuration.runs], ignore_index=True)
         late = progress[progress["frame"] > 0.9 * configuration.settings["frames"]]
-        for column in DIAGNOSTICS:
-            if column in late:
-                mean = stats.interval(late.groupby("seed")[column].mean())
-                rows.append(
-                    {"configuration": name(*key), "diagnostic": column, "n": mean.n, **mean._asdict()}
-                )
+        for column in (one for one in DIAGNOSTICS if one in late):
+            *mean, n = stats.interval(late.groupby("seed")[column].mean())
+            rows.append([name(*key), column, n, *mean])
     return pd.DataFrame(rows, columns=["configuration", "diagnostic", "n", "value", "low", "high"])
 
 
-def compared(configurations: Iterable[Key]) -> dict[str, list[Key]]:
-    """What a choice may flip: the mean reward of the first half of these configurations minus that of the
-    second.
-    """
-    within = dict.fromkeys([*claims.ALGORITHMS, *algorithms(configurations)])
-    between = {
-        " above ".join(map(str.upper, claims.ALGORITHMS)): list(itertools.product(claims.ALGORITHMS, PAIR))
-    }
-    return between | {
-        f"{one.upper()}: tanh above ReLU": list(itertools.product([one], PAIR)) for one in within
-    }
+# -- differences of configurations ---------------------------------------------------------------------------
 
 
-def sensitivity(studies: Studies) -> pd.DataFrame:
-    """Each conclusion under each switch, compared with it as decided: columns switch, conclusion, value, low,
-    high, n, flips.
-
-    An algorithm that a switch does not touch is taken as decided. `flips`: the interval is wholly on the
-    other side of zero than it does as decided; `sign` if only the estimate does.
-    """
-    rows = []
-    for switch, configurations in {AS_DECIDED: studies.baseline, **studies.switches}.items():
-        for conclusion, keys in compared(studies.baseline).items():
-            there = [configurations.get(key) or studies.baseline.get(key) for key in keys]
-            if None in there or not any(key in configurations for key in keys):
-                continue
-            samples = [
-                of_seeds(configuration, PRIMARY) for configuration in there if configuration is not None
-            ]
-            found = _first_minus_second(samples)
-            rows.append({"switch": switch, "conclusion": conclusion, **found._asdict()})
-    decided = {row["conclusion"]: row for row in rows if row["switch"] == AS_DECIDED}
-    flips = [_flips(row, decided.get(row["conclusion"])) for row in rows]
-    table = pd.DataFrame(rows, columns=["switch", "conclusion", "value", "low", "high", "n"])
-    return table.assign(flips=flips)
-
-
-def _first_minus_second(samples: Sequence[stats.Array]) -> stats.Interval:
+def _halves(samples: Sequence[stats.Array]) -> stats.Interval:
+    """The mean of the first half of some configurations minus that of the second."""
     half = len(samples) // 2
     return stats.difference(samples[:half], samples[half:])
 
 
-def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
-    if decided is None or decided is row:
-        return ""
-    if not decided["value"] * row["value"] < 0:
-        return "no"
-    clear = all(one["low"] * one["high"] > 0 for one in (decided, row))
-    return "yes" if clear else "sign"
+def sensitivity(studies: Studies) -> pd.DataFrame:
+    """Each conclusion under each switch and as decided: columns switch, conclusion, `NUMBERS`, flips.
+
+    An algorithm that a switch does not touch is taken as decided. `flips`: the interval is wholly on the
+    other side of zero than as decided; `sign` if only the estimate does.
+    """
+    rows = []
+    of_each = dict.fromkeys([*claims.ALGORITHMS, *algorithms(studies.baseline)])
+    between = " above ".join(map(str.upper, claims.ALGORITHMS))
+    conclusions: dict[str, tuple[str, ...]] = {between: claims.ALGORITHMS}
+    conclusions |= {f"{one.upper()}: tanh above ReLU": (one,) for one in of_each}
+    for switch, own in {AS_DECIDED: studies.baseline, **studies.switches}.items():
+        there = studies.baseline | own
+        for conclusion, which in conclusions.items():
+            keys = [*itertools.product(which, PAIR)]
+            if there.keys() >= {*keys} and not own.keys().isdisjoint(keys):
+                rows.append([switch, conclusion, *_halves([of_seeds(there[key], PRIMARY) for key in keys])])
+    table = pd.DataFrame(rows, columns=["switch", "conclusion", *NUMBERS])
+    decided = table[table["switch"] == AS_DECIDED].set_index("conclusion")
+    usual = decided.reindex(table["conclusion"]).reset_index(drop=True)
+    alone = (table["switch"] == AS_DECIDED) | ~table["conclusion"].isin(decided.index)
+    same = ~(usual["value"] * table["value"] < 0)
+    clear = (usual["low"] * usual["high"] > 0) & (table["low"] * table["high"] > 0)
+    return table.assign(flips=np.select([alone, same, clear], ["", "no", "yes"], "sign").astype(object))
+
+
+def effects(studies: Studies) -> pd.DataFrame:
+    """What a setting changes in an algorithm's reward per frame: switch, algorithm, frames, `NUMBERS`.
+
+    The mean over the activations that both have, minus that as decided; many environments minus one. frames:
+    a seed.
+    """
+    pairs = [(switch, changed, studies.baseline) for switch, changed in studies.switches.items()]
+    pairs.append((VECTORISED, paper_configurations(studies.vectorised), paper_configurations(studies.main)))
+    rows = []
+    for switch, changed, usual in pairs:
+        for algorithm, keys in _shared(changed, usual):
+            samples = [of_seeds(one[key], PRIMARY) for one in (changed, usual) for key in keys]
+            frames = max(changed[key].settings["frames"] for key in keys)
+            rows.append([switch, algorithm, frames, *_halves(samples)])
+    return pd.DataFrame(rows, columns=["switch", "algorithm", "frames", *NUMBERS])
+
+
+def _shared(first: Configurations, second: Configurations) -> Iterable[tuple[str, list[Key]]]:
+    """The configurations that both have, by algorithm."""
+    shared = [key for key in first if key in second]
+    for algorithm in dict.fromkeys(which for which, _ in shared):
+        yield algorithm, [key for key in shared if key[0] == algorithm]
+
+
+def one_against_many(studies: Studies) -> pd.DataFrame:
+    """One environment per seed against many, in more than the mean: measure, algorithm, and `NUMBERS`.
+
+    One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
+
+    - scatter: the standard deviation over seeds of reward per frame in the last 100,000 frames
+      (`stats.deviations`);
+    - longest: the longest episode of a seed that is open at the end [steps], 0 where none is;
+    - open: the share of a seed's frames in episodes that are open at the end.
+
+    order: Spearman's correlation, one against many, of the activations' mean rewards per frame.
+    """
+
+    def measured(configuration: Configuration) -> dict[str, stats.Array]:
+        frames, episodes = configuration.settings["frames"], configuration.episodes
+        late = windowed(configuration, [(frames - AFTER, frames)])[0]
+        steps = episodes["steps"].mask(episodes["terminated"] | episodes["truncated"], 0)
+        longest, together = (getattr(steps.groupby(episodes["seed"]), one)() for one in ("max", "sum"))
+        of_open = {"longest": longest.to_numpy(np.float64), "open": (together / frames).to_numpy()}
+        return {"scatter": stats.deviations(late.to_numpy()), **of_open}
+
+    one, many = paper_configurations(studies.main), paper_configurations(studies.vectorised)
+    rows = []
+    for algorithm, keys in _shared(one, many):
+        both = [measured(found[key]) for found in (one, many) for key in keys]
+        rows += [[measure, algorithm, *_halves([own[measure] for own in both])] for measure in both[0]]
+        first, second = ([of_seeds(found[key], PRIMARY) for key in keys] for found in (one, many))
+        rows.append(["order", algorithm, *stats.rank_correlation(first, second)])
+    return pd.DataFrame(rows, columns=["measure", "algorithm", *NUMBERS])
+
+
+def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
+    """PPO's reward minus DQN's with other settings and in the main study: settings, activations, `NUMBERS`.
+
+    The first two rows are of the activations that both algorithms have with the preset `fast`. winners: of
+    trials; a row each for them, and for the lead with the preset minus theirs.
+    """
+    both = [{one for which, one in studies.tuned if which == name} for name in claims.ALGORITHMS]
+    shared = [one for which, one in studies.tuned if which == claims.ALGORITHMS[0] and one in both[1]]
+    words = ", ".join(shared)
+
+    def flown(found: Configurations, activations: Sequence[str]) -> list[stats.Array]:
+        keys = itertools.product(claims.ALGORITHMS, activations)
+        return [of_seeds(found[key], SAMPLED) if key in found else np.empty(0) for key in keys]
+
+    fast, searched = flown(studies.tuned, shared), flown(winners, ["tanh"])
+    rows = [[f"preset {claims.FAST}", words, *_halves(fast)]]
+    rows.append(["main study", words, *_halves(flown(studies.main, shared))])
+    if shared and min(map(len, [*fast, *searched])) > 1:
+        rows.append([claims.TUNED, "tanh", *_halves(searched)])
+        weights = np.concatenate([[1, -1], [-1, 1]]).repeat([len(shared), len(shared), 1, 1])
+        found = stats.welch([*fast, *searched], (weights / [*[len(shared)] * len(fast), 1, 1])[None])
+        ends = (found.value, found.lower(stats.TAILS[0]), found.upper(stats.TAILS[0]))
+        numbers = *(float(one[0]) for one in ends), min(map(len, fast))
+        rows.append([f"preset {claims.FAST} − {claims.TUNED}", words, *numbers])
+    return pd.DataFrame(rows, columns=["settings", "activations", *NUMBERS])
+
+
+def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
+    """What is said of activations, by algorithm, in many environments: conclusion, algorithm, `NUMBERS`.
+
+    None unless an algorithm beyond the paper's has runs with the activations that some conclusion asks for.
+    """
+    there = dict.fromkeys(algorithm for algorithm, _ in sorted(studies.of("vectorised"), key=order))
+    rows = []
+    for (label, sides), algorithm in itertools.product(CONCLUSIONS.items(), there):
+        first, second = (
+            [evidence(algorithm, one, "reward", study="vectorised") for one in side] for side in sides
+        )
+        if all(map(len, [*first, *second])):
+            rows.append([label, algorithm, *stats.difference(first, second)])
+    found = pd.DataFrame(rows, columns=["conclusion", "algorithm", *NUMBERS])
+    return found if {*found["algorithm"]} - {*paper.TABLE_OF} else found[:0]
+
+
+# -- the paper's numbers, and what scripts reach -------------------------------------------------------------
 
 
 def one_run(values: pd.DataFrame) -> pd.DataFrame:
@@ -334,9 +376,8 @@ def one_run(values: pd.DataFrame) -> pd.DataFrame:
     chosen = chosen[chosen["definition"].isin(claims.COLUMNS.values())]
     for (algorithm, definition), part in chosen.groupby(["algorithm", "definition"], sort=False):
         seeds = {str(key): own.dropna().to_numpy() for key, own in part.groupby("activation")["value"]}
-        printed = {
-            one: paper.printed(str(algorithm), one, "reward", definition == PER_FRAME) for one in seeds
-        }
+        per_frame = definition == PER_FRAME
+        printed = {one: paper.printed(str(algorithm), one, "reward", per_frame) for one in seeds}
         n = min(map(len, seeds.values()))
         if len(seeds) < len(paper.ACTIVATIONS) or not n or not all(np.isfinite([*printed.values()])):
             continue
@@ -345,251 +386,6 @@ def one_run(values: pd.DataFrame) -> pd.DataFrame:
         shares["the paper's order"] = stats.chance_of_order([seeds[one] for one in in_order])
         rows += [[algorithm, definition, what, share, n] for what, share in shares.items()]
     return pd.DataFrame(rows, columns=["algorithm", "definition", "what", "share", "n"])
-
-
-def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
-    """PPO's reward minus DQN's with other settings and in the main study: columns settings, activations,
-    value, low, high, n.
-
-    The first two rows are of the activations that both algorithms have with the preset `fast`. winners: of
-    trials; a row each for them, and for the lead with the preset minus theirs.
-    """
-    first, second = (
-        [activation for which, activation in studies.tuned if which == one] for one in claims.ALGORITHMS
-    )
-    shared = [activation for activation in first if activation in second]
-    fast, searched = (
-        [of_seeds(own[key], SAMPLED) for key in itertools.product(claims.ALGORITHMS, names) if key in own]
-        for own, names in ((studies.tuned, shared), (winners, ["tanh"]))
-    )
-    main = [
-        of_seeds(studies.main[key], SAMPLED) if key in studies.main else np.empty(0)
-        for key in itertools.product(claims.ALGORITHMS, shared)
-    ]
-    words = ", ".join(shared)
-    rows = [[f"preset {claims.FAST}", words, *_first_minus_second(fast)]]
-    rows.append(["main study", words, *_first_minus_second(main)])
-    if shared and len(searched) == 2 and min(map(len, [*fast, *searched])) > 1:
-        rows.append([claims.TUNED, "tanh", *_first_minus_second(searched)])
-        weights = np.concatenate([[1, -1], [-1, 1]]).repeat([len(shared), len(shared), 1, 1])
-        found = stats.welch([*fast, *searched], (weights / [*[len(shared)] * len(fast), 1, 1])[None])
-        ends = [
-            float(one[0]) for one in (found.value, found.lower(stats.TAILS[0]), found.upper(stats.TAILS[0]))
-        ]
-        rows.append([f"preset {claims.FAST} − {claims.TUNED}", words, *ends, min(map(len, fast))])
-    return pd.DataFrame(rows, columns=["settings", "activations", *NUMBERS])
-
-
-def speed(configurations: Configurations) -> pd.DataFrame:
-    """Wall time of a million frames of one seed, by run: columns configuration, seconds, seeds, machine."""
-    rows = []
-    for key, configuration in configurations.items():
-        for run, took in zip(timed(configuration), hours(configuration), strict=True):
-            machine = run.meta.get("machine", {})
-            processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
-            rows.append([name(*key), 3600 * took, len(run.seeds), processor])
-    return pd.DataFrame(rows, columns=["configuration", "seconds", "seeds", "machine"])
-
-
-def sizes(studies: Studies) -> pd.DataFrame:
-    """How large each study is: columns study, algorithm, activation, seeds, frames (of a seed), worlds
-    (of a seed).
-    """
-    named = {"main": studies.main, VECTORISED: studies.vectorised, "baseline": studies.baseline}
-    named |= {"initial": studies.initial, **studies.switches, "tuned": studies.tuned}
-    rows = [
-        [
-            study,
-            *key,
-            configuration.n_seeds,
-            configuration.settings["frames"],
-            configuration.settings["n_envs"],
-        ]
-        for study, found in named.items()
-        for key, configuration in (paper_configurations(found) if study == "main" else found).items()
-    ]
-    return pd.DataFrame(rows, columns=["study", "algorithm", "activation", "seeds", "frames", "worlds"])
-
-
-def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Reward of test episodes, and its gap to the rule's on the same layouts: columns who, mode, limit, n and
-    more.
-
-    `up` is the share of episodes that the time limit [steps] ended, `above` the share of seeds above the
-    rule. A gap is a mean over seeds of each seed's mean over layouts, with Student's 95 % interval over
-    seeds; it is NaN without episodes of the rule on the same layouts and below the same time limit.
-    `per_frame` is reward over steps, mean over seeds.
-    """
-    known = [(who, "", "scripted", table) for who, table in scripted.items()]
-    known += [
-        (name(*key), key[0], definition.split()[0], episodes_of(configuration, definition))
-        for definition, (key, configuration) in itertools.product(EVALUATIONS, configurations.items())
-    ]
-    rule = finished(scripted[RULE]) if RULE in scripted else pd.DataFrame()
-    rows = []
-    for who, algorithm, mode, table in known:
-        ended = finished(table)
-        if ended.empty:
-            continue
-        by_seed = ended.groupby("seed")
-        reward, sums = (
-            stats.difference([by_seed["reward"].mean().to_numpy()], []),
-            by_seed[["reward", "steps"]].sum(),
-        )
-        own = to_rule(ended, rule) if who != RULE else np.empty(0)
-        above = float((own > 0).mean()) if len(own) else np.nan
-        facts = (_limit(ended), reward.n, len(ended), ended["truncated"].mean())
-        per_frame = (sums["reward"] / sums["steps"]).mean()
-        rows.append(
-            [who, algorithm, mode, *facts, *reward[:3], per_frame, *stats.difference([own], [])[:3], above]
-        )
-    columns = [
-        "who",
-        "algorithm",
-        "mode",
-        "limit",
-        "n",
-        "episodes",
-        "up",
-        "reward",
-        "low",
-        "high",
-        "per_frame",
-    ]
-    return pd.DataFrame(rows, columns=[*columns, "gap", "gap_low", "gap_high", "above"])
-
-
-def passing(gaps: pd.DataFrame) -> pd.DataFrame:
-    """How many seeds of an algorithm pass the scripted policy: columns algorithm, mode, passing, n; gaps: as
-    `gaps` gives them.
-    """
-    learned = gaps[gaps["algorithm"] != ""]
-    shares = learned[["above", "n"]].astype("float64")  # a table without rows has no types
-    counted = learned.assign(passing=(shares["above"] * shares["n"]).round(), n=shares["n"])
-    found = counted.groupby(["algorithm", "mode"], sort=False)[["passing", "n"]].sum()
-    return found.astype("int64").reset_index()
-
-
-def best(gaps: pd.DataFrame, mode: str, algorithm: str) -> Any:
-    """Where the configuration of an algorithm with the highest reward stands in a table of `gaps`; None
-    where there is none.
-    """
-    mine = gaps[(gaps["mode"] == mode) & (gaps["algorithm"] == algorithm)]
-    return mine["reward"].idxmax() if len(mine) else None
-
-
-def _limit(episodes: pd.DataFrame) -> float:
-    """At how many steps episodes were truncated; NaN where none was."""
-    return float(episodes.loc[episodes["truncated"], "steps"].max())
-
-
-def to_rule(episodes: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
-    """Each seed's mean gap to the rule over the layouts that both flew [S]; none if their time limits
-    differ.
-    """
-    if (
-        rule.empty
-        or not set(episodes["layout"]) <= set(rule["layout"])
-        or abs(_limit(episodes) - _limit(rule)) > 0
-    ):
-        return np.empty(0)  # a time limit that ended no episode is NaN
-    of_rule = episodes["layout"].map(rule.groupby("layout")["reward"].mean())
-    return (episodes["reward"] - of_rule).groupby(episodes["seed"]).mean().to_numpy()
-
-
-def effects(studies: Studies) -> pd.DataFrame:
-    """What a setting changes in an algorithm's reward per frame: columns switch, algorithm, frames, and
-    `NUMBERS`.
-
-    The mean over the activations that both have, minus that as decided; many environments minus one. frames:
-    a seed.
-    """
-    pairs = [
-        (switch, configurations, studies.baseline) for switch, configurations in studies.switches.items()
-    ]
-    pairs.append((VECTORISED, paper_configurations(studies.vectorised), paper_configurations(studies.main)))
-    rows = []
-    for switch, changed, usual in pairs:
-        shared = [key for key in changed if key in usual]
-        for algorithm in dict.fromkeys(which for which, _ in shared):
-            keys = [key for key in shared if key[0] == algorithm]
-            first, second = (
-                [of_seeds(configurations[key], PRIMARY) for key in keys]
-                for configurations in (changed, usual)
-            )
-            frames = max(changed[key].settings["frames"] for key in keys)
-            rows.append([switch, algorithm, frames, *stats.difference(first, second)])
-    return pd.DataFrame(rows, columns=["switch", "algorithm", "frames", *NUMBERS])
-
-
-def one_against_many(studies: Studies) -> pd.DataFrame:
-    """What one environment per seed changes in more than the mean, against many: columns measure, algorithm,
-    and `NUMBERS`.
-
-    One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
-
-    - scatter: the standard deviation over seeds of reward per frame in the last 100,000 frames
-      (`stats.deviations`);
-    - longest: the longest episode of a seed that is open at the end [steps], 0 where none is;
-    - open: the share of a seed's frames in episodes that are open at the end.
-
-    order: Spearman's correlation, one against many, of the activations' mean rewards per frame.
-    """
-    one, many = paper_configurations(studies.main), paper_configurations(studies.vectorised)
-    shared, rows = [key for key in one if key in many], []
-    for algorithm in dict.fromkeys(which for which, _ in shared):
-        pairs = [
-            [configurations[key] for key in shared if key[0] == algorithm] for configurations in (one, many)
-        ]
-        for measure, of in {"scatter": _scatter, "longest": _longest, "open": _open}.items():
-            first, second = (
-                [of(configuration) for configuration in configurations] for configurations in pairs
-            )
-            rows.append([measure, algorithm, *stats.difference(first, second)])
-        first, second = (
-            [of_seeds(configuration, PRIMARY) for configuration in configurations] for configurations in pairs
-        )
-        rows.append(["order", algorithm, *stats.rank_correlation(first, second)])
-    return pd.DataFrame(rows, columns=["measure", "algorithm", *NUMBERS])
-
-
-def _scatter(configuration: Configuration) -> stats.Array:
-    frames = configuration.settings["frames"]
-    return stats.deviations(windowed(configuration, "reward", [(frames - AFTER, frames)])[0].to_numpy())
-
-
-def _longest(configuration: Configuration) -> stats.Array:
-    return np.asarray(_open_episodes(configuration).max(), dtype=np.float64)
-
-
-def _open(configuration: Configuration) -> stats.Array:
-    return np.asarray(_open_episodes(configuration).sum() / configuration.settings["frames"])
-
-
-def _open_episodes(configuration: Configuration) -> Any:
-    """Steps of episodes that are open at the end, 0 for all others, by seed."""
-    ended = configuration.episodes["terminated"] | configuration.episodes["truncated"]
-    return configuration.episodes["steps"].where(~ended, 0).groupby(configuration.episodes["seed"])
-
-
-def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
-    """What is said of activations, by algorithm, in many environments: columns conclusion, algorithm, value,
-    ...
-
-    None unless an algorithm beyond the paper's has runs with the activations that some conclusion asks for.
-    """
-    study = "vectorised"
-    there = sorted(studies.of(study), key=order)
-    algorithms = list(dict.fromkeys(algorithm for algorithm, _ in there))
-    rows = []
-    for (label, sides), algorithm in itertools.product(CONCLUSIONS.items(), algorithms):
-        first, second = (
-            [evidence(algorithm, activation, "reward", study=study) for activation in side] for side in sides
-        )
-        if all(len(one) for one in (*first, *second)):
-            rows.append([label, algorithm, *stats.difference(first, second)])
-    found = pd.DataFrame(rows, columns=["conclusion", "algorithm", "value", "low", "high", "n"])
-    return found if {*found["algorithm"]} - {*paper.TABLE_OF} else found[:0]
 
 
 def peaks(configurations: Configurations, log: Evidence) -> pd.DataFrame:
@@ -601,26 +397,23 @@ def peaks(configurations: Configurations, log: Evidence) -> pd.DataFrame:
     interval). The same by SB3's log (reward per episode), its means in these stretches, and how many seeds
     lose more than half. log: the evidence of that definition.
     """
-    rows = []
+    rows: list[list[Any]] = []
     for key, configuration in configurations.items():
         frames = configuration.settings["frames"]
         if frames < SURGE[1] + AFTER:
             continue
-        # of equal ones the first
-        best = np.asarray(curve(configuration, "reward").round(9).idxmax(), dtype=np.float64)
-        before, surge, after = (
-            windowed(configuration, "reward", [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]).to_numpy().T
-        )
-        rows += [
-            [name(*key), "peak", *stats.difference([best], [])],
-            [name(*key), "lost", *stats.ratio(surge - after, surge - before)],
-        ]
+        best = curve(configuration).round(9).idxmax()  # of equal ones the first
+        windows = [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
+        before, surge, after = windowed(configuration, windows).to_numpy().T
         logged = {when: log(*key, f"reward_{when}") for when in ("before", "surge", "after")}
-        rows += [[name(*key), f"{when}, {SB3}", *stats.difference([one], [])] for when, one in logged.items()]
+        found = {"peak": stats.difference([np.asarray(best, dtype=np.float64)], [])}
+        found["lost"] = stats.ratio(surge - after, surge - before)
+        found |= {f"{when}, {SB3}": stats.difference([one], []) for when, one in logged.items()}
         before, surge, after = logged.values()
+        found[f"lost, {SB3}"] = stats.ratio(surge - after, surge - before)
         halved = int((surge - after > (surge - before) / 2).sum())
-        rows.append([name(*key), f"lost, {SB3}", *stats.ratio(surge - after, surge - before)])
-        rows.append([name(*key), f"seeds that lose half, {SB3}", halved, np.nan, np.nan, len(after)])
+        found[f"seeds that lose half, {SB3}"] = stats.Interval(halved, np.nan, np.nan, len(after))
+        rows += [[name(*key), measure, *one] for measure, one in found.items()]
     return pd.DataFrame(rows, columns=["configuration", "measure", *NUMBERS])
 
 
@@ -637,32 +430,79 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.Data
     numbers without seeds are left out; evidence: by metric definition.
     """
     known = predictions[predictions["n"] > 1]
-    low, high, number = (known[name] for name in ("low", "high", "paper"))
+    low, high, number = (known[column] for column in ("low", "high", "paper"))
     missed = (low - number).clip(lower=0) + (number - high).clip(lower=0)
-    score = (high - low + 2 / 0.05 * missed) / number.abs()
-    named = known.assign(
-        configuration=known["algorithm"].str.upper() + " " + known["activation"], score=score
-    )
-    counted = []
-    for definition, own in named.groupby("definition", sort=False):
-        for configuration, part in [(EVERY, own), *own.groupby("configuration", sort=False)]:
-            joint: tuple[float, ...] = (np.nan, np.nan)
-            if configuration != EVERY:
-                one = part.iloc[0]
-                key = one["algorithm"], one["activation"]
-                seeds = [evidence[str(definition)](*key, metric) for metric in part["metric"]]
-                if len({*map(len, seeds)}) == 1:
-                    joint = stats.joint(np.stack(seeds, 1), part["paper"].to_numpy())
+    known = known.assign(score=(high - low + 2 / 0.05 * missed) / number.abs())
+    counted: list[list[Any]] = []
+    for definition, own in known.groupby("definition", sort=False):
+        groups: list[tuple[Any, pd.DataFrame]] = [((), own)]
+        for key, part in [*groups, *own.groupby(["algorithm", "activation"], sort=False)]:
+            of = evidence[str(definition)]
+            seeds = [of(str(key[0]), str(key[1]), metric) for metric in part["metric"] if key]
+            as_one = len({*map(len, seeds)}) == 1
+            joint = stats.joint(np.stack(seeds, 1), part["paper"].to_numpy()) if as_one else [np.nan] * 2
             facts = int(part["within"].sum()), len(part), part["score"].mean()
-            counted.append((definition, configuration, *facts, *joint))
+            counted.append([definition, name(*key) if key else EVERY, *facts, *joint])
     columns = ["definition", "configuration", "within", "numbers", "score", "p", "farther"]
     return pd.DataFrame(counted, columns=columns)
 
 
-def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Rows of scripted policies and of people: `baselines/*.parquet` in the report's folders; what cannot
-    be read.
+def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Reward of test episodes, and its gap to the rule's on the same layouts: columns who, mode, limit, n and
+    more.
+
+    `up` is the share of episodes that the time limit [steps] ended, `above` the share of seeds above the
+    rule. A gap is a mean over seeds of each seed's mean over layouts, with Student's 95 % interval over
+    seeds; it is NaN without episodes of the rule on the same layouts and below the same time limit.
+    `per_frame` is reward over steps, mean over seeds.
     """
+    known = [(who, "", "scripted", table) for who, table in scripted.items()]
+    known += [
+        (name(*key), key[0], definition.split()[0], episodes_of(one, definition))
+        for definition, (key, one) in itertools.product(EVALUATIONS, configurations.items())
+    ]
+    rule = finished(scripted[RULE]) if RULE in scripted else pd.DataFrame()
+    rows = []
+    for who, algorithm, mode, table in known:
+        ended = finished(table)
+        if ended.empty:
+            continue
+        by_seed = ended.groupby("seed")
+        reward = stats.difference([by_seed["reward"].mean().to_numpy()], [])
+        per_frame = (by_seed["reward"].sum() / by_seed["steps"].sum()).mean()
+        own = np.empty(0) if who == RULE else to_rule(ended, rule)
+        gap = stats.difference([own], [])[:3], float((own > 0).mean()) if len(own) else np.nan
+        facts = _limit(ended), reward.n, len(ended), ended["truncated"].mean()
+        rows.append([who, algorithm, mode, *facts, *reward[:3], per_frame, *gap[0], gap[1]])
+    columns = ["who", "algorithm", "mode", "limit", "n", "episodes", "up", "reward", "low", "high"]
+    return pd.DataFrame(rows, columns=[*columns, "per_frame", "gap", "gap_low", "gap_high", "above"])
+
+
+def _limit(episodes: pd.DataFrame) -> float:
+    """At how many steps episodes were truncated; NaN where none was."""
+    return float(episodes.loc[episodes["truncated"], "steps"].max())
+
+
+def to_rule(episodes: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
+    """Each seed's mean gap to the rule on the same layouts [S]; none if their time limits differ."""
+    if rule.empty or not {*episodes["layout"]} <= {*rule["layout"]}:
+        return np.empty(0)
+    if abs(_limit(episodes) - _limit(rule)) > 0:  # a time limit that ended no episode is NaN
+        return np.empty(0)
+    of_rule = episodes["layout"].map(rule.groupby("layout")["reward"].mean())
+    return (episodes["reward"] - of_rule).groupby(episodes["seed"]).mean().to_numpy()
+
+
+def passing(gaps: pd.DataFrame) -> pd.DataFrame:
+    """How many seeds of an algorithm pass the scripted policy: columns algorithm, mode, passing, n."""
+    learned = gaps[gaps["algorithm"] != ""].astype({"above": float, "n": float})  # no rows have no types
+    counted = learned.assign(passing=(learned["above"] * learned["n"]).round())
+    found = counted.groupby(["algorithm", "mode"], sort=False)[["passing", "n"]].sum()
+    return found.astype("int64").reset_index()
+
+
+def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
+    """Rows of scripts and people: `baselines/*.parquet` in the report's folders; what cannot be read."""
     found, left_out = {}, []
     for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
         try:
@@ -672,20 +512,39 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
     return found, left_out
 
 
-def total_frames(configurations: Configurations) -> str:
-    """How many frames a seed has: one number, or from ... to ..."""
-    return least_to_most(configuration.settings["frames"] for configuration in configurations.values())
+# -- how large and how fast ----------------------------------------------------------------------------------
 
 
-def worlds(configurations: Configurations) -> str:
-    """How many parallel environments a seed has: one number, or from ... to ..."""
-    return least_to_most(configuration.settings["n_envs"] for configuration in configurations.values())
+def speed(configurations: Configurations) -> pd.DataFrame:
+    """Wall time of a million frames of one seed, by run: columns configuration, seconds, seeds, machine."""
+    rows = []
+    for key, configuration in configurations.items():
+        for run, took in zip(timed(configuration), hours(configuration), strict=True):
+            machine = run.meta.get("machine", {})
+            processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
+            rows.append([name(*key), 3600 * took, len(run.seeds), processor])
+    return pd.DataFrame(rows, columns=["configuration", "seconds", "seeds", "machine"])
+
+
+def sizes(studies: Studies) -> pd.DataFrame:
+    """How large each study is: study, algorithm, activation, seeds, and a seed's frames and environments."""
+    named = {"main": paper_configurations(studies.main), VECTORISED: studies.vectorised}
+    named |= {"baseline": studies.baseline, "initial": studies.initial, **studies.switches}
+    rows = [
+        [study, *key, one.n_seeds, one.settings["frames"], one.settings["n_envs"]]
+        for study, found in {**named, "tuned": studies.tuned}.items()
+        for key, one in found.items()
+    ]
+    return pd.DataFrame(rows, columns=["study", "algorithm", "activation", "seeds", "frames", "worlds"])
+
+
+def spread(configurations: Configurations, setting: str) -> str:
+    """A setting that counts something, such as `frames`: one number, or from ... to ..."""
+    return least_to_most(one.settings[setting] for one in configurations.values())
 
 
 def least_to_most(counts: Iterable[int], noun: str = "") -> str:
-    """The range of some counts, one number where they are the same; and of what, in the plural unless
-    there is one.
-    """
+    """The range of some counts, one number where they are the same; noun: what is counted."""
     ordered = sorted({*counts})
     shown = " to ".join(f"{count:,}" for count in dict.fromkeys([*ordered[:1], *ordered[-1:]])) or "0"
     return f"{shown} {noun}{'s' * (ordered != [1])}" if noun else shown

@@ -1,6 +1,4 @@
-"""My runs: those that name no study, ranked with the scripted policy, with their curves and a typical
-episode of each. Unfinished runs are rows too.
-"""
+"""My runs, finished or not: those that name no study, ranked with the scripted policy."""
 
 from __future__ import annotations
 
@@ -15,8 +13,8 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.errors import OneLineError
-from uavnav.report import charts, compare, curves, tables, templating
-from uavnav.report.compare import Contender, ahead, of_episodes
+from uavnav.report import charts, compare, tables, templating
+from uavnav.report.compare import Contender, ahead
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
@@ -24,7 +22,7 @@ from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
-from uavnav.stats import Array, Interval
+from uavnav.stats import Interval
 from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
@@ -77,8 +75,7 @@ def gather(
 ) -> Mine | None:
     """What is said of the runs without a study; None where all of them have one.
 
-    found: finished ones of all kinds; out: where episodes of the scripted policy are kept; tell: is told each
-        step of the work.
+    found: finished ones of all kinds; out: where scripted episodes are kept; tell: as of `report`.
     """
     own = {str(one.runs[0].path): one for one in found if not one.study}
     begun = {str(path): begin(path) for path in unfinished}
@@ -94,7 +91,13 @@ def gather(
     ]
     status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True)) | {YOU: "by hand"}
     configurations = [*own.values(), *(one for one, _ in begun.values())]
-    contenders = [_contender(name, one) for name, one in zip(paths, configurations, strict=True)]
+    contenders = []
+    for name, one in zip(paths, configurations, strict=True):
+        first, rows = one.runs[0].evaluation() if one.runs else None, None
+        if first is not None:  # several runs may differ only in their seeds
+            rows = one.evaluation.copy()
+            rows.attrs = first.attrs
+        contenders.append(compare.trained(name, one, rows))
     tell("ranking runs against the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
     groups = []
@@ -170,15 +173,6 @@ def _names(paths: Sequence[str], folders: Sequence[Path]) -> list[str]:
     return [name if short.count(name) == 1 else path for name, path in zip(short, paths, strict=True)]
 
 
-def _contender(name: str, configuration: Configuration) -> Contender:
-    """A run, or several that differ in their seeds, with the test episodes of all."""
-    first, rows = configuration.runs[0].evaluation() if configuration.runs else None, None
-    if first is not None:
-        rows = configuration.evaluation.copy()
-        rows.attrs = first.attrs
-    return compare.trained(name, configuration, rows)
-
-
 def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
     """Those that flew in one task by one protocol together; those that did not fly, with their task's."""
     groups: list[list[Contender]] = []
@@ -201,12 +195,17 @@ def _group(
     place: int,
 ) -> Group:
     """The ranking and the figures of runs in one task; place: of the group, for the names of its files."""
-    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -_reward(one)[0].value)
+    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -one.reward[0].value)
     ordered = [*flown, *(one for one in members if not len(one.episodes))]
-    rows = {one.name: (_dots(one), _reward(one)[0]) for one in flown}
+    rows = {}
+    for one in flown:
+        rewards = one.episodes["reward"]
+        seeds = rewards.groupby(one.episodes["seed"]).mean()
+        dots = seeds if len(seeds) > 1 else rewards  # a number a seed, or an episode of a single seed
+        rows[one.name] = dots.to_numpy(np.float64), one.reward[0]
     rule = earned = np.nan
     if scripted is not None:
-        rule, sums = _reward(scripted)[0].value, scripted.episodes[["reward", "steps"]].sum()
+        rule, sums = scripted.reward[0].value, scripted.episodes[["reward", "steps"]].sum()
         earned = sums["reward"] / sums["steps"]
     learned = {one.name: one.configuration for one in members if one.configuration is not None}
     task = str(members[0].place["task"])
@@ -217,7 +216,7 @@ def _group(
         figures.append((f"ranking-{place + 1}", draw(), draw(width=style.NARROW), words))
     if any(len(one.episodes) for one in learned.values()):
         mine = {name: looks[name] for name in learned}
-        draw = functools.partial(curves.curves, learned, "reward", {}, looks=mine, rule=earned)
+        draw = functools.partial(charts.curves, learned, {}, looks=mine, rule=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
@@ -233,17 +232,8 @@ def _group(
     )
 
 
-def _dots(one: Contender) -> Array:
-    """A number a seed, or an episode of a single seed."""
-    seeds = one.episodes.groupby("seed")["reward"].mean()
-    return (seeds if len(seeds) > 1 else one.episodes["reward"]).to_numpy(np.float64)
-
-
 def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:
-    """The scripted policy's episodes on the layouts of a run: kept ones, or new ones that are kept.
-
-    None where it cannot fly in the run's world.
-    """
+    """The scripted policy's episodes on a run's layouts, kept or new; None where it cannot."""
     protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
     layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
     name = Protocol(layouts, episodes, limit, None, task).file(SCRIPT)
@@ -281,12 +271,12 @@ def _ranking(
 ) -> tables.Rows:
     """A row a run and one for the scripted policy, the best first; those without test episodes last."""
     shown = [one for one in (*ordered, scripted) if one is not None and len(one.episodes)]
-    shown.sort(key=lambda one: -_reward(one)[0].value)
+    shown.sort(key=lambda one: -one.reward[0].value)
     own = {one.name: measures(one.episodes).mean() for one in shown}
     column = next((name for name in SHOWN if any(name in one for one in own.values())), "survive")
     rows = [["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "training"]]
     for one in shown:
-        mean, over = _reward(one)
+        mean, over = one.reward
         numbers = _number(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
         if one is scripted:
             rows.append([f"scripted policy, `{SCRIPT}`", *numbers, tables.NOTHING, "none"])
@@ -308,23 +298,16 @@ def _best(first: Group, paths: Mapping[str, Path]) -> str:
         return "No run has finished yet."
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
-    mean, over = _reward(best)
+    mean, over = best.reward
     said = f"Of your runs, **{best.name}** earns most: {_number(mean)} of reward an episode"
     said += f" (95 % interval over {over})."
     if first.scripted is not None:
-        said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
+        said += f" The scripted policy earns {_number(first.scripted.reward[0])}."
     return f"{said} {compare.caution([one for one in first.contenders if len(one.episodes)])}".strip()
 
 
-def _reward(one: Contender) -> tuple[Interval, str]:
-    return of_episodes(one.episodes["reward"], one.episodes["seed"])
-
-
 def differences(contenders: Sequence[Contender]) -> tables.Rows:
-    """What every run was trained with, and in what it differs from its preset or from its peers.
-
-    Peers are runs of the same algorithm, preset and task.
-    """
+    """What every run was trained with, and how it differs from its preset or from peers of its `KIND`."""
     named = ["algorithm", "activation", "preset", "task", "frames", "n_envs"]
     known = {
         one.name: {"algorithm": one.pilot, "activation": one.configuration.activation}

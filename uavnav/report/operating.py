@@ -50,9 +50,7 @@ def characteristics(
 
 
 def _means(claim: Claim, seeds: Mapping[Term, Array], paper: Evidence, truth: str) -> dict[Term, float]:
-    """The true mean of every term that has seeds; NaN where the paper has no number and the truth is its
-    tables.
-    """
+    """The true mean of every term that has seeds; NaN where the paper's tables have no number."""
     known = {term: own for term, own in seeds.items() if len(own)}
     printed = {term: numbers.mean() if len(numbers := paper(*term)) else np.nan for term in known}
     if truth == TABLES:
@@ -68,9 +66,7 @@ def _means(claim: Claim, seeds: Mapping[Term, Array], paper: Evidence, truth: st
 def _studies(
     parts: Sequence[Part], seeds: Mapping[Term, Array], means: Mapping[Term, float], rng: np.random.Generator
 ) -> list[list[Array]]:
-    """Simulated seeds of each part's terms, each [D, S]; those of a configuration, or of a paired part,
-    are drawn together.
-    """
+    """Simulated seeds of each part's terms, each [D, S]; a configuration's metrics are drawn together."""
     drawn: dict[object, np.ndarray[Any, np.dtype[np.int64]]] = {}
 
     def simulated(part: Part, term: Term) -> Array:

@@ -10,18 +10,7 @@ from typing import Any
 import numpy as np
 
 from uavnav import evaluation
-from uavnav.report import (
-    ambiguities,
-    arena,
-    evidence,
-    frames,
-    longer,
-    noise,
-    studies,
-    tables,
-    whys,
-    worlds,
-)
+from uavnav.report import ambiguities, arena, evidence, frames, longer, noise, studies, tables, whys, worlds
 from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
@@ -96,8 +85,7 @@ def contents(
 ) -> dict[str, bytes]:
     """All files of a report, by their paths in its folder.
 
-    first: the report's first folder of runs; own: what stands before the study; watched: the page renews
-    itself.
+    first: the report's first folder; own: what stands before the study; watched: the page renews itself.
     """
     found: dict[str, bytes] = files_of(own) if own else {}
     pictures = {}
@@ -161,9 +149,12 @@ def page(
 ) -> str:
     """The one HTML file: styles, figures, replays and the player's code are in it.
 
-    pictures: by the figure's name, for a page and for a phone; first: the report's first folder, for what a
-    command needs; own: what stands before the study; watched: the page renews itself.
+    pictures: by the figure's name, for a page and for a phone; others: as of `contents`.
     """
+    tables_of_paper = [
+        (f"Table {paper.TABLE_OF[one]}: {one.upper()}" if one in paper.TABLE_OF else one.upper(), rows)
+        for one, rows in content.paper_tables.items()
+    ]
     return fill(
         "page.html",
         also=render("results.md", content),
@@ -172,7 +163,7 @@ def page(
             replays=content.replays,
             together=first_episodes(content),
             sections=[("runs", "My runs")] * bool(own) + sections(content),
-            paper_tables=[(_table_name(algorithm), rows) for algorithm, rows in content.paper_tables.items()],
+            paper_tables=tables_of_paper,
             pictures=pictures,
             first=first,
             mine=own,
@@ -192,35 +183,21 @@ def sections(content: Content) -> list[tuple[str, str]]:
 def first_episodes(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can, and the scripted policy."""
     gaps = content.tables["gaps"]
-    best = [frames.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
-    flown = gaps.loc[[place for place in best if place is not None]].sort_values("reward", ascending=False)
+    flown = gaps[(gaps["mode"] == MODES[1]) & gaps["algorithm"].isin(paper.TABLE_OF)]
+    flown = flown.sort_values("reward", ascending=False).drop_duplicates("algorithm")
     configurations = {who: tables.in_words(who) for who in flown["who"]}
     shown = together(content.replays, configurations, RULE) if content.replays else None
     return shown if shown and len(shown["drones"]) > 1 else None
 
 
-def _table_name(algorithm: str) -> str:
-    number = paper.TABLE_OF.get(algorithm)
-    return f"Table {number}: {algorithm.upper()}" if number else algorithm.upper()
-
-
 def markdown(content: Content) -> str:
     """report.md: the verdicts, the tables in every metric definition, how the runs were made."""
+    # each of these has a table of its own
+    beside = [*content.studies.why.values(), *content.studies.switches.values()]
+    answered = {id(one) for configurations in beside for one in configurations.values()}
+    shown = [one for one in content.configurations if id(one) not in answered]
     parts = []
-    # each has a table of its own
-    questions = (
-        *content.studies.why.values(),
-        *content.studies.switches.values(),
-    )
-    answered = {
-        id(configuration) for configurations in questions for configuration in configurations.values()
-    }
-    for algorithm in content.paper_tables:
-        mine = [
-            configuration
-            for configuration in content.configurations
-            if configuration.algorithm == algorithm and id(configuration) not in answered
-        ]
-        part, usual = label(mine)
-        parts.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
+    for name in content.paper_tables:
+        part, usual = label([one for one in shown if one.algorithm == name])
+        parts.append({"name": name, "usual": usual, "table": tables.table(part, name)})
     return render("report.md", content, sections=parts, bins=BINS).strip() + "\n"

@@ -46,11 +46,10 @@ class Quotes:
         places: int | None = None,
         **where: Any,
     ) -> str:
-        """A number of the one row with these values, its interval and a link; negative ones without their
-        sign.
+        """A number of the one row with these values, its interval and a link; negative ones without sign.
 
-        sign: of its interval: `+` above zero, `−` below it, `0` across it, and an empty one anywhere.
-        places: decimals, where two significant digits of the interval are not wanted.
+        sign: of its interval: `+` above zero, `−` below it, `0` across it, and an empty one anywhere; places:
+        decimals, where two significant digits of the interval are not wanted.
         """
         table = self.table(name)
         chosen = pd.Series(True, index=table.index)
@@ -108,11 +107,7 @@ STUDY = _TEMPLATES.get_template("study.md")
 
 
 def block(name: str, quotes: Quotes) -> str:
-    """A block of the prose, in Markdown.
-
-    Raises:
-        Untrue: it is not true, or asks for a row that is not there.
-    """
+    """A block of the prose, in Markdown; raises Untrue where it is not true or lacks a row."""
     names = ("table", "quote", "claim", "grade", "check", "link")
     methods = {one: getattr(quotes, one) for one in names}
     return "".join(STUDY.blocks[name](STUDY.new_context(methods))).strip()

@@ -1,11 +1,9 @@
-"""Which configurations belong to which part of a report, and what each metric definition of their rows says,
-as one number a seed.
+"""Which configurations belong to which part of a report, and each metric of theirs as one number a seed.
 
-A run's meta.json names its study, and `PLACES` says what each study answers. The study `vectorised` has the
-paper's reward and its million frames. The *main* study answers for the paper: it is the same in one
-environment a seed, as Stable-Baselines3 runs by default, once all the paper's configurations have flown it,
-or else that in many. Runs of no study that the report knows are compared with each other: those of an
-algorithm's most frequent settings.
+A run's meta.json names its study, and `PLACES` says what each study answers. The *main* study answers for
+the paper: in one environment per seed, once all the paper's configurations have runs there, or else in many
+(`vectorised`). Runs of no study that the report knows are compared with each other: those of an algorithm's
+most frequent settings.
 """
 
 from __future__ import annotations
@@ -69,12 +67,10 @@ class Studies(NamedTuple):
 
 
 def sort(configurations: Sequence[Configuration]) -> Studies:
-    """Deal configurations out to the studies; where two fit the same place, the later one is among the
-    others.
-    """
+    """Deal configurations out to the studies; of two in one place, the later is among the others."""
     studies = Studies({}, {}, {}, {}, {}, {}, {}, [])
-    for algorithm in dict.fromkeys(configuration.algorithm for configuration in configurations):
-        mine = [configuration for configuration in configurations if configuration.algorithm == algorithm]
+    for algorithm in dict.fromkeys(one.algorithm for one in configurations):
+        mine = [one for one in configurations if one.algorithm == algorithm]
         usual = _usual(mine)
         for configuration in mine:
             place = _place(studies, configuration, usual)
@@ -94,12 +90,8 @@ def sort(configurations: Sequence[Configuration]) -> Studies:
 
 
 def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
-    """An algorithm's settings in the study `vectorised`, or else those of most of its configurations,
-    then of most seeds.
-    """
-    named = [
-        configuration for configuration in configurations if PLACES.get(configuration.study) == "vectorised"
-    ]
+    """An algorithm's settings in the study `vectorised`, or else its most frequent ones."""
+    named = [one for one in configurations if PLACES.get(one.study) == "vectorised"]
     groups = [
         [one for one in named or configurations if one.settings == configuration.settings]
         for configuration in named or configurations
@@ -145,32 +137,22 @@ def in_none(studies: Studies) -> list[str]:
 
 def paper_configurations(configurations: Configurations) -> Configurations:
     """Those of the paper's activations, of whatever algorithm."""
-    return {
-        key: configuration for key, configuration in configurations.items() if key[1] in paper.ACTIVATIONS
-    }
+    return {key: one for key, one in configurations.items() if key[1] in paper.ACTIVATIONS}
 
 
 def elsewhere(configurations: Sequence[Configuration]) -> list[Configuration]:
-    """Those that have their policies, and another world than the paper's, faults, or a stack of
-    observations.
-    """
+    """Those with policies that have another task, faults, or a stack of observations."""
     usual = flat({"task": "drone", "stack": 1, "faults": NO_FAULTS.model_dump()})
     other = [
-        configuration
-        for configuration in configurations
-        if any(configuration.settings.get(key, value) != value for key, value in usual.items())
+        one
+        for one in configurations
+        if any(one.settings.get(key, value) != value for key, value in usual.items())
     ]
-    return [
-        configuration
-        for configuration in other
-        if any((run.path / POLICY).exists() for run in configuration.runs)
-    ]
+    return [one for one in other if any((run.path / POLICY).exists() for run in one.runs)]
 
 
 def wide(studies: Studies) -> Configurations:
-    """All configurations of the first study with activations beyond the paper's: the main one,
-    `vectorised`, or the baseline.
-    """
+    """All configurations of the first study with activations beyond the paper's."""
     return next(
         (
             configurations
@@ -183,19 +165,14 @@ def wide(studies: Studies) -> Configurations:
 
 def further(studies: Studies) -> Configurations:
     """The configurations in many environments of algorithms beyond the paper's."""
-    return {
-        key: configuration
-        for key, configuration in studies.of("vectorised").items()
-        if key[0] not in paper.TABLE_OF
-    }
+    return {key: one for key, one in studies.of("vectorised").items() if key[0] not in paper.TABLE_OF}
 
 
 @dataclass(eq=False)
 class Rows:
     """Each metric of the studies' configurations in one metric definition: an `Evidence`.
 
-    episodes: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: the same with
-    `layout` instead of `seed`.
+    episodes: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: of `layout`.
     """
 
     studies: Studies
@@ -218,7 +195,7 @@ class Rows:
             if self.definition == LOG_CURVE:
                 rewards = last_hundred(episodes_of(configuration, LOG_CURVE), "reward", windows)
             else:
-                rewards = windowed(configuration, "reward", windows)
+                rewards = windowed(configuration, windows)
             times = [f"reward_{when}" for when in ("before", "surge", "after")]
             table = table.join(rewards.set_axis(times, axis=1))
         return table

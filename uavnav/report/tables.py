@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import functools
 import json
 import math
 import string
@@ -115,10 +116,6 @@ def _across(
     return [known.get(name, NOTHING) for name in names]
 
 
-def _needed(one: Record) -> str:
-    return f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
-
-
 INTERACTIONS: Columns = {
     "definition": "{definition}",
     "metric": "{metric}",
@@ -162,7 +159,13 @@ IMPROVEMENT: Columns = {
     "probability of more": "{probability:.2f}",
     "Holm's p": "{p_holm:.3f}",
 }
-POWERS: Columns = {"pair": "{pair}", "seeds there are": "{n}", "seeds a configuration": _needed}
+POWERS: Columns = {
+    "pair": "{pair}",
+    "seeds there are": "{n}",
+    "seeds a configuration": lambda one: (
+        f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
+    ),
+}
 WHYS: Columns = {
     "question": "{question}",
     "configuration or difference": "{row}",
@@ -228,11 +231,9 @@ def crossed(
     digits: int | None = 3,
     labels: Mapping[str, str] | None = None,
 ) -> Rows:
-    """A row a value of one column and a column a value of another: numbers with their intervals, and the
-    fewest seeds.
+    """A row a value of one column and a column a value of another: numbers, intervals, and the fewest seeds.
 
-    frame: columns value, low, high and n too; digits: three of numbers below 1 and one of others if None;
-    labels: words for the columns, in their order.
+    digits: None shows three of numbers below 1 and one of others; labels: words for the columns, in order.
     """
 
     def shown(one: Record) -> str:
@@ -257,8 +258,8 @@ def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
     a seed.
     """
     found = [
-        {"configuration": configuration, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
-        for configuration, part in frame.groupby("configuration", sort=False)
+        {"configuration": one, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
+        for one, part in frame.groupby("configuration", sort=False)
         for name in columns
     ]
     return crossed(
@@ -272,38 +273,18 @@ def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
 
 def audit_rows(findings: Sequence[Finding]) -> Rows:
     """The parts of a claim."""
-    rows = [
-        [
-            "question",
-            "the paper",
-            "ours, adjusted interval",
-            "ours : the paper",
-            "Holm's p",
-            "seeds",
-            "verdict",
-        ]
-    ]
+    ours = ("ours, adjusted interval", "ours : the paper")
+    rows = [["question", "the paper", *ours, "Holm's p", "seeds", "verdict"]]
     for one in findings:
-        ours = effect(one) + (f" ({one.nearest})" if one.nearest else "")
+        nearest = f" ({one.nearest})" if one.nearest else ""
         ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
-        rows.append(
-            [
-                one.text,
-                number(one.paper, digits(one)),
-                ours,
-                ratio,
-                p_shown(one.p_holm),
-                str(one.n),
-                said(one),
-            ]
-        )
+        numbers = number(one.paper, digits(one)), effect(one) + nearest, ratio, p_shown(one.p_holm)
+        rows.append([one.text, *numbers, str(one.n), said(one)])
     return rows
 
 
 def digits(finding: Any) -> int:
-    """Decimals that show an effect's interval with two significant digits; without one, the effect with
-    two.
-    """
+    """Decimals that show an interval with two significant digits; without one, the effect."""
     width = finding.high - finding.low
     known = width if width > 0 else abs(finding.value)
     return min(max(1 - math.floor(math.log10(known)), 0), 6) if known > 0 else 2
@@ -336,19 +317,16 @@ def _about(seeds: float) -> str:
 
 
 def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
-    """Anything that was evaluated: a row a metric, a column each; seeds: by name, a row a seed as of
-    `metrics.per_seed`.
-    """
+    """A row a metric, a column for each that was evaluated; seeds: by name, as of `metrics.per_seed`."""
     rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
     for column, metric in METRICS.items():
-        found = [stats.interval(one[column].dropna().to_numpy()) for one in seeds.values()]
-        rows.append([str(metric), *map(_spread, found)])
+        shown = []
+        for one in seeds.values():
+            value, *ends, _ = stats.interval(one[column].dropna().to_numpy())
+            inside = f" ({' to '.join(map(style.number, ends))})" if np.isfinite(ends[0]) else ""
+            shown.append(f"{style.number(value)}{inside}")
+        rows.append([str(metric), *shown])
     return rows
-
-
-def _spread(found: stats.Interval) -> str:
-    inside = f" ({style.number(found.low)} to {style.number(found.high)})" if np.isfinite(found.low) else ""
-    return f"{style.number(found.value)}{inside}"
 
 
 def operating(shares: pd.DataFrame) -> Rows:
@@ -383,35 +361,16 @@ def predictions(frame: pd.DataFrame, definition: str) -> Rows:
 
 
 def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -> Rows:
-    """A header and rows: for each activation the paper's, then every metric definition of each configuration:
-    means, interquartile means.
+    """For each activation the paper's row, then each metric definition's means and interquartile means.
 
     configurations: of one algorithm, with their labels.
     """
-    rows = [
-        [
-            "activation",
-            "definition",
-            "seeds",
-            "episodes",
-            "truncated",
-            *(one.words() for one in METRICS.values()),
-        ]
-    ]
+    metrics = [one.words() for one in METRICS.values()]
+    rows = [["activation", "definition", "seeds", "episodes", "truncated", *metrics]]
     of_paper = paper.ACTIVATIONS if algorithm in paper.TABLE_OF else ()
     nothing = [NOTHING] * len(METRICS)
-
-    def estimates_of(part: pd.DataFrame, columns: Sequence[str]) -> list[str]:
-        return _across(part, "metric", METRICS, lambda one: _estimate(one, columns))
-
-    for activation in dict.fromkeys(
-        [*of_paper, *(configuration.activation for _, configuration in configurations)]
-    ):
-        ours = [
-            (label, configuration)
-            for label, configuration in configurations
-            if configuration.activation == activation
-        ]
+    for activation in dict.fromkeys([*of_paper, *(one.activation for _, one in configurations)]):
+        ours = [(label, one) for label, one in configurations if one.activation == activation]
         if activation in of_paper:
             for which, per_frame in (("the paper", False), (f"the paper, {PER_FRAME}", True)):
                 printed = _printed(algorithm, activation, per_frame)
@@ -427,7 +386,8 @@ def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -
                     continue
                 part = _counts(episodes_of(configuration, definition))
                 for which, columns in ((definition, MEAN), (f"{definition}, interquartile mean", MIDDLE)):
-                    rows.append([label, which, *part, *estimates_of(own, columns)])
+                    shown = functools.partial(_estimate, columns=columns)
+                    rows.append([label, which, *part, *_across(own, "metric", METRICS, shown)])
     return rows
 
 
@@ -468,7 +428,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
     truncated.
     """
     rows = [["who", "seeds", "episodes", "truncated", *map(str, METRICS.values())]]
-    learned = {name(*key): episodes_of(configuration, SAMPLED) for key, configuration in main.items()}
+    learned = {name(*key): episodes_of(one, SAMPLED) for key, one in main.items()}
     for who, part in [*found.items(), *learned.items()]:
         ended = finished(part)
         if ended.empty:
@@ -541,61 +501,48 @@ def tried(table: pd.DataFrame) -> Rows:
     """The first and the best of each algorithm's trials, and the settings of the best."""
     rows = [["algorithm", "trials", "diverged", "first (default)", "best", "its trial", "settings"]]
     for algorithm, part in table.groupby("algorithm", sort=False):
-        first = part.loc[part["trial"] == 0, "value"]
-        shown = [
-            str(len(part)),
-            str(part["value"].isna().sum()),
-            *(number(one, 1) for one in [*first, *[math.nan] * first.empty]),
-        ]
-        top = trials.best(table, str(algorithm))
-        if top is None:
-            rows.append([str(algorithm).upper(), *shown, *[NOTHING] * 3])
-            continue
-        settings = json.loads(top["settings"]).items()
-        told = (f"{key}={f'{value:.3g}' if isinstance(value, float) else value}" for key, value in settings)
-        rows.append(
-            [str(algorithm).upper(), *shown, number(top["value"], 1), str(top["trial"]), ", ".join(told)]
-        )
+        first = next(iter(part.loc[part["trial"] == 0, "value"]), math.nan)
+        counts = str(len(part)), str(part["value"].isna().sum())
+        best, top = [NOTHING] * 3, trials.best(table, str(algorithm))
+        if top is not None:
+            settings = json.loads(top["settings"]).items()
+            told = (
+                f"{key}={f'{value:.3g}' if isinstance(value, float) else value}" for key, value in settings
+            )
+            best = [number(top["value"], 1), str(top["trial"]), ", ".join(told)]
+        rows.append([str(algorithm).upper(), *counts, number(first, 1), *best])
     return rows
 
 
 def facts(configurations: list[Configuration]) -> list[str]:
-    """Versions, commits, machines, layouts and evaluations, and which runs have which where they are not
-    the same.
-    """
+    """Versions, commits, machines, layouts and evaluations, and which runs have which where they differ."""
     lines = []
     for kind in ("versions", "git_commit", "machine", "layouts", "evaluation"):
         groups: dict[str, list[str]] = {}
-        for run in (run for configuration in configurations for run in configuration.runs):
+        for run in (run for one in configurations for run in one.runs):
             fact = run.meta.get(kind)
             if isinstance(fact, dict):
                 fact = ", ".join(f"{key} {show(value)}" for key, value in fact.items())
             groups.setdefault(one_line(fact or "not known"), []).append(str(run.path))
         for value, paths in groups.items():
-            lines.append(
-                f"{kind.replace('_', ' ')}: {value}" + (f" ({', '.join(paths)})" if len(groups) > 1 else "")
-            )
+            which = f" ({', '.join(paths)})" if len(groups) > 1 else ""
+            lines.append(f"{kind.replace('_', ' ')}: {value}{which}")
     return lines
 
 
 def run_table(configurations: list[Configuration]) -> Rows:
     """How each run was made."""
     rows = [["run", "configuration", "seeds", "frames per seed", "ended", "wall time", "threads", "compiled"]]
-    for run, whose in [
-        (run, f"{configuration.algorithm} {configuration.activation}")
-        for configuration in configurations
-        for run in configuration.runs
-    ]:
-        seconds, first, last = run.meta.get("wall_seconds"), run.seeds[0], run.seeds[-1]
-        wall = (
-            str(datetime.timedelta(seconds=round(seconds)))
-            if isinstance(seconds, (int, float))
-            else "not known"
-        )
-        how = [show(run.meta.get(fact, "not known")) for fact in ("threads", "compiled")]
-        seeds = str(first) if first == last else f"{first} ... {last}"
-        ended = str(run.meta.get("ended", "not known")).partition("T")[0]
-        rows.append([str(run.path), whose, seeds, f"{run.frames:,}", ended, wall, *how])
+    unknown = dict.fromkeys(("threads", "compiled", "ended"), "not known")
+    for configuration in configurations:
+        whose = f"{configuration.algorithm} {configuration.activation}"
+        for run in configuration.runs:
+            told, wall, first, last = unknown | run.meta, "not known", run.seeds[0], run.seeds[-1]
+            if isinstance(seconds := run.meta.get("wall_seconds"), (int, float)):
+                wall = str(datetime.timedelta(seconds=round(seconds)))
+            seeds = str(first) if first == last else f"{first} ... {last}"
+            ended, how = str(told["ended"]).partition("T")[0], map(show, (told["threads"], told["compiled"]))
+            rows.append([str(run.path), whose, seeds, f"{run.frames:,}", ended, wall, *how])
     return rows
 
 

@@ -1,8 +1,6 @@
 """A study that tunes each algorithm with the same budget: what it has left, default against tuned.
 
-It is read from its own folder (`uavnav.studies.tuning`): its configurations are in no
-other table.
-Letters: S seeds of a configuration.
+Its configurations are in no other table. Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -29,12 +27,10 @@ Table = pd.DataFrame
 def read(
     of: Sequence[Path], baselines: Mapping[str, Table]
 ) -> tuple[dict[str, Table], Configurations, list[str]]:
-    """The tables of the first study that tuned in some folders, by name, the winners' configurations, and a
-    line for what is of no use.
+    """The tables of the first study that tuned, the winners' configurations, and lines for the unread.
 
-    tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap
-    to the scripted policy; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with
-    the `best` so far; tuning_importance: shares of settings.
+    tuning: default, tuned and their difference, and the gap to the scripted policy; tuning_pairs: differences
+    of two algorithms; tuning_trials: what was tried; tuning_importance: shares of settings.
     """
     found = trials.folders(of)
     if not found:
@@ -53,8 +49,11 @@ def read(
     places = [(DEFAULT, folder / DEFAULT)]
     places += [(TUNED, folder / trials.winner(trial) / name) for name, trial in won.items()]
     for which, place in places:
-        own, lines = _configurations(place)
-        configurations[which] |= own
+        try:
+            own, lines = collect([place]) if place.is_dir() else ([], [])
+        except RunError as error:
+            own, lines = [], [one_line(error)]
+        configurations[which] |= {(one.algorithm, one.activation): one for one in own}
         left_out += lines
     compared = _compared(configurations, baselines, algorithms)
     tables = {"tuning": compared, "tuning_pairs": _pairs(configurations, algorithms)}
@@ -69,52 +68,34 @@ def so_far(trials: Table) -> pd.Series[float]:
     return best
 
 
-def _configurations(folder: Path) -> tuple[Configurations, list[str]]:
-    if not folder.is_dir():
-        return {}, []
-    try:
-        found, left_out = collect([folder])
-    except RunError as error:
-        return {}, [one_line(error)]
-    return {
-        (configuration.algorithm, configuration.activation): configuration for configuration in found
-    }, left_out
+def _seeds(found: Configurations, algorithm: str) -> list[stats.Array]:
+    """The rewards of an algorithm's configurations that were evaluated: [S] each."""
+    own = [frames.of_seeds(one, SAMPLED) for key, one in found.items() if key[0] == algorithm]
+    return [one for one in own if len(one)]
 
 
 def _compared(
     configurations: Mapping[str, Configurations], baselines: Mapping[str, Table], algorithms: Sequence[str]
 ) -> Table:
     gaps = {which: frames.gaps(found, baselines) for which, found in configurations.items()}
+    ends = ["gap", "gap_low", "gap_high"]
     rows = []
     for algorithm in algorithms:
-        seeds: dict[str, list[stats.Array]] = {}
-        for which, found in configurations.items():
-            mine = [(key, configuration) for key, configuration in found.items() if key[0] == algorithm]
-            seeds[which] = [
-                one for _, configuration in mine if len(one := frames.of_seeds(configuration, SAMPLED))
-            ]
-            gap = gaps[which].query("mode == 'sampled' and algorithm == @algorithm")
-            own = gap[["gap", "gap_low", "gap_high"]].to_numpy()[0] if len(gap) else [np.nan] * 3
-            if seeds[which]:
-                rows.append([algorithm, which, *stats.difference(seeds[which], []), *own])
+        seeds = {which: _seeds(found, algorithm) for which, found in configurations.items()}
+        for which, own in seeds.items():
+            gap = gaps[which].query("mode == 'sampled' and algorithm == @algorithm")[ends].to_numpy()
+            if own:
+                rows.append([algorithm, which, *stats.difference(own, []), *(*gap, [np.nan] * 3)[0]])
         if all(seeds.values()):
-            rows.append(
-                [algorithm, DIFFERENCE, *stats.difference(seeds[TUNED], seeds[DEFAULT]), *[np.nan] * 3]
-            )
-    columns = ["algorithm", "settings", "value", "low", "high", "n", "gap", "gap_low", "gap_high"]
-    return pd.DataFrame(rows, columns=columns)
+            difference = stats.difference(seeds[TUNED], seeds[DEFAULT])
+            rows.append([algorithm, DIFFERENCE, *difference, *[np.nan] * 3])
+    return pd.DataFrame(rows, columns=["algorithm", "settings", *frames.NUMBERS, *ends])
 
 
 def _pairs(configurations: Mapping[str, Configurations], algorithms: Sequence[str]) -> Table:
     rows = []
     for which, found in configurations.items():
-        of = {
-            key[0]: [one]
-            for key, configuration in found.items()
-            if len(one := frames.of_seeds(configuration, SAMPLED))
-        }
-        for first, second in itertools.combinations(
-            [algorithm for algorithm in algorithms if algorithm in of], 2
-        ):
+        of = {one: own[-1:] for one in algorithms if (own := _seeds(found, one))}
+        for first, second in itertools.combinations(of, 2):
             rows.append([f"{first} − {second}", which, *stats.difference(of[first], of[second])])
-    return pd.DataFrame(rows, columns=["pair", "settings", "value", "low", "high", "n"])
+    return pd.DataFrame(rows, columns=["pair", "settings", *frames.NUMBERS])

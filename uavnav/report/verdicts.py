@@ -82,23 +82,15 @@ class Judgement(NamedTuple):
 
 
 def audit(evidence: Evidence, paper: Evidence, claims: Sequence[Claim] = CLAIMS) -> list[Finding]:
-    """Every part of every claim, in order, by the rule.
-
-    evidence: of our runs; paper: of the printed tables by the same metric definition, one number
-        a configuration.
-    """
-    return [finding for claim in claims for finding in _audit(claim, evidence, paper)]
-
-
-def _audit(claim: Claim, evidence: Evidence, paper: Evidence) -> list[Finding]:
-    samples = [[evidence(*term) for term in part.terms] for part in claim.parts]
-    printed = [effects(part, paper) for part in claim.parts]
-    judged = judge(claim.parts, samples, printed)
-    levels = _levels(judged)
-    return [
-        _finding(claim, place, samples[place], printed[place], judged, levels[place])
-        for place in range(len(claim.parts))
-    ]
+    """Every part of every claim, by the rule; evidence: of our runs; paper: of the printed tables."""
+    found = []
+    for claim in claims:
+        samples = [[evidence(*term) for term in part.terms] for part in claim.parts]
+        printed = [effects(part, paper) for part in claim.parts]
+        judged = judge(claim.parts, samples, printed)
+        each = zip(samples, printed, _levels(judged), strict=True)
+        found += [_finding(claim, place, *own[:2], judged, own[2]) for place, own in enumerate(each)]
+    return found
 
 
 def effects(part: Part, paper: Evidence) -> Array:
@@ -214,9 +206,7 @@ def _contrasts(part: Part, samples: Sequence[Array]) -> Contrasts | None:
 
 
 def _extreme(part: Part, effects_: Array) -> float:
-    """The effect of a part: the smallest of its contrasts where every one has to be above zero, else the
-    largest.
-    """
+    """A part's effect: the smallest contrast where every one has to be above zero, else the largest."""
     return float(np.min(effects_) if part.every else np.max(effects_))
 
 
@@ -246,9 +236,7 @@ def _interval(part: Part, found: Contrasts, level: float | Array) -> tuple[Array
 
 
 def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) -> Array:
-    """How probably the paper's effects [J] are found, at least (Slepian): [...]; level of the two-sided
-    test [...].
-    """
+    """How probably the paper's effects [J] are found, at least (Slepian): [...]; level: two-sided [...]."""
     one_sided = np.asarray(level)[..., None] / 2
     if part.every:
         return np.asarray(found.power(effects_, one_sided).prod(-1))
@@ -256,11 +244,9 @@ def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) 
 
 
 def _levels(judged: Judgement) -> Array:
-    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next, and so
-    on.
+    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next ...
 
-    The first that fails and all after it are held against the same; a part that does not count against
-    `ALPHA`.
+    The first that fails and all after it have the same level; a part that does not count has `ALPHA`.
     """
     levels = np.full(len(judged.p), ALPHA)
     counting = np.flatnonzero(judged.standings == COUNTS)
@@ -276,11 +262,16 @@ def _finding(
     part, found = claim.parts[place], _contrasts(claim.parts[place], samples)
     own, n = _extreme(part, printed), min(map(_size, samples))
     low = high = to_detect = to_equal = math.nan
-    nearest, value = "", _value(part, samples)
+    nearest, value = "", math.nan
+    if n:
+        means = stats.rounded(np.array([sample.mean() for sample in samples]))
+        value = _extreme(part, np.array(part.weights) @ means)
     if found is not None:
         low, high = map(float, _interval(part, found, level))
         if len(part.weights) > 1:
-            nearest = part.sides(int(np.argmax((1 if part.every else -1) * _one_order(found))))
+            p = found.above()
+            p = np.where(np.isnan(p), 0.5 - np.sign(found.value), p)  # by the sign where nothing varies
+            nearest = part.sides(int(np.argmax(p if part.every else -p)))
         if own > 0 and (found.error > 0).all():
             candidates = np.isin(judged.standings, (COUNTS, TOO_SMALL)).sum()
             to_detect, to_equal = _needed(part, found, printed, ALPHA / max(int(candidates), 1), n)
@@ -309,23 +300,8 @@ def _finding(
     )
 
 
-def _value(part: Part, samples: Sequence[Array]) -> float:
-    if not min(map(_size, samples)):
-        return math.nan
-    return _extreme(
-        part, np.array(part.weights) @ stats.rounded(np.array([sample.mean() for sample in samples]))
-    )
-
-
-def _one_order(found: Contrasts) -> Array:
-    """P values of contrasts that can be ordered: only by the sign where nothing varies."""
-    p = found.above()
-    return np.where(np.isnan(p), 0.5 - np.sign(found.value), p)
-
-
 def _needed(part: Part, found: Contrasts, effects_: Array, level: float, n: int) -> tuple[float, float]:
-    """Seeds a configuration with which the paper's effects [J] are found, and with which two one-sided tests
-    show absence.
+    """Seeds a configuration that find the paper's effects [J], and that show absence by two one-sided tests.
 
     Both with `POWER`, the second where all configurations are equal; seeds scatter as ours, and none of our
     effects enters. The errors of n seeds a configuration are those of ours times sqrt(n / seeds).
@@ -334,15 +310,13 @@ def _needed(part: Part, found: Contrasts, effects_: Array, level: float, n: int)
     def of(seeds: int) -> Contrasts:
         return found._replace(error=found.error * math.sqrt(n / seeds), df=found.df * (seeds - 1) / (n - 1))
 
-    def detects(seeds: int) -> bool:
-        return bool(_power(part, of(seeds), effects_, level) >= POWER)
-
     def equals(seeds: int) -> bool:
         margin, count = HALF * np.full(len(effects_), _extreme(part, effects_)), len(effects_)
         alone, adjusted = (of(seeds).power(margin, one) for one in (ALPHA, ALPHA / count))
         return bool(alone.prod() + adjusted.max() - 1 >= POWER)
 
-    return stats.fewest(detects, SEEDS), stats.fewest(equals, SEEDS)
+    detects = stats.fewest(lambda seeds: bool(_power(part, of(seeds), effects_, level) >= POWER), SEEDS)
+    return detects, stats.fewest(equals, SEEDS)
 
 
 def p_shown(p: float) -> str:

@@ -1,5 +1,4 @@
-"""Why configurations differ: questions to side studies that each change one setting; templates/study.md
-answers them.
+"""Why configurations differ: questions to side studies; templates/study.md answers them.
 
 A question is data: rows to show, and contrasts that answer it. To add one, add it to `QUESTIONS` and its
 configurations to uavnav/studies/why.yaml. Letters: S seeds of a configuration.
@@ -48,9 +47,7 @@ Answers = tuple[dict[str, Place], list[Contrast]]
 def _sweep(
     metric: str, setting: str, values: Sequence[str], usual: str, *algorithms: str, low: int = 0
 ) -> Answers:
-    """A row for each value of a setting, with tanh, and the lowest value (at place `low`) against the
-    highest.
-    """
+    """A row for each value of a setting, with tanh; the lowest (at place `low`) against the highest."""
     rows: dict[str, Place] = {}
     contrasts = []
     for one in algorithms:
@@ -86,9 +83,7 @@ def _activations() -> Answers:
 
 
 def _of_pair(study: str, how: str, metrics: Sequence[str], labels: Mapping[str, str]) -> Answers:
-    """A row for each algorithm, activation of the pair and study, as long as the paper's; a study against
-    `LONG`.
-    """
+    """A row for each algorithm, activation of the pair and study; a study against `LONG`."""
     rows = {
         f"{one.upper()} {activation}, {label}": (which, one, activation)
         for one, activation in itertools.product(ALGORITHMS, PAIR)
@@ -157,22 +152,20 @@ QUESTIONS = (
 def table(evidence: Evidence) -> pd.DataFrame:
     """All that is drawn and said: columns question, row, metric, value, low, high, n.
 
-    A row's interval is of Student's t over its seeds, a contrast's is Welch's. Rows without a seed are left
-    out, and so are questions without a contrast.
+    Rows without a seed are left out, and so are questions without a contrast.
     """
     rows: list[list[object]] = []
 
-    def minus(metric: str, first: Sequence[Place], second: Sequence[Place]) -> stats.Interval:
-        sides = (
-            [evidence(which, activation, metric, study=study) for study, which, activation in side]
-            for side in (first, second)
-        )
-        return stats.difference(*sides)
+    def of(places: Sequence[Place], metric: str) -> list[stats.Array]:
+        return [evidence(which, activation, metric, study=study) for study, which, activation in places]
 
     for one in QUESTIONS:
-        answers = [[one.name, name, metric, *minus(metric, *sides)] for metric, name, *sides in one.contrasts]
+        answers = [
+            [one.name, name, metric, *stats.difference(of(first, metric), of(second, metric))]
+            for metric, name, first, second in one.contrasts
+        ]
         drawn = [
-            [one.name, label, metric, *minus(metric, [place], [])]
+            [one.name, label, metric, *stats.difference(of([place], metric), [])]
             for (label, place), metric in itertools.product(one.rows.items(), one.metrics)
         ]
         if any(answer[-1] for answer in answers):

@@ -1,6 +1,5 @@
-"""Where which algorithm flies: the study `worlds`, its verdicts on claims 12 to 16, its tables and figures.
+"""Where which algorithm flies: the study `worlds`, apart from what answers for the paper's tables.
 
-Its runs are in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables.
 Letters: S seeds of a configuration.
 """
 
@@ -17,22 +16,12 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats, style
-from uavnav.report.claims import (
-    ALL_WORLDS,
-    CRASHED,
-    EXPLAINS,
-    RANKED,
-    SCATTER,
-    SLOPE,
-    VARIATION,
-    at,
-    slopes,
-)
+from uavnav.report.claims import ALL_WORLDS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
 from uavnav.report.configurations import apart, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
-from uavnav.stats import Array, Interval
+from uavnav.stats import Array
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
 
 if TYPE_CHECKING:
@@ -68,12 +57,7 @@ class Worlds(NamedTuple):
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in some folders of a report, and the rows of scripts in its tasks; None where there is
-    none.
-
-    Raises:
-        RunError: a folder cannot be read.
-    """
+    """Read the study in some folders of a report, and the rows of scripts in its tasks; None without one."""
     homes = apart(folders, "worlds")
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
@@ -94,15 +78,25 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
                 raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(place, flown)
-            made.append(_made(world, run))
+            facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
+            who = dict(zip(("world", "algorithm", "activation"), key, strict=True)) | {
+                "seeds": len(run.seeds)
+            }
+            made.append({"run": str(path), **who, **facts, **(run.meta.get("machine") or {})})
         except (RunError, KeyError) as error:
             left_out.append(one_line(error))
     if not seeds:
         return None
-    in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
-    seeds = dict(
-        sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0])))
-    )
+
+    def by_number(name: str) -> tuple[object, ...]:  # density-4 comes before density-16
+        words, _, number = name.partition("-")
+        return name != "drone", *((words, float(number)) if number.isdecimal() else (name, 0.0))
+
+    def rank(key: Key) -> tuple[object, ...]:  # the default presets first
+        return in_order.index(_place(key[0])), key[0] != _place(key[0]), *order(key[1:])
+
+    in_order = sorted(places, key=by_number)
+    seeds = {key: seeds[key] for key in sorted(seeds, key=rank)}
     scripted, rungs, lines = _of_scripts([home / "baselines" for home in homes], in_order, places, seeds)
     return Worlds(seeds, scripted, rungs, pd.DataFrame(made), [*left_out, *lines])
 
@@ -143,29 +137,6 @@ def _of_scripts(
     return scripted, rungs, left_out
 
 
-def _made(world: str, run: Run) -> dict[str, object]:
-    """How a run was made: what tells it apart from the others, and what its `meta.json` says of it."""
-    who = {
-        "world": world,
-        "algorithm": run.algorithm,
-        "activation": run.config["activation"],
-        "seeds": len(run.seeds),
-    }
-    facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
-    return {"run": str(run.path), **who, **facts, **(run.meta.get("machine") or {})}
-
-
-def _rank(key: Key) -> tuple[object, ...]:
-    """Where a configuration stands in its task: the default presets first."""
-    return key[0] != _place(key[0]), *order(key[1:])
-
-
-def _digits_last(name: str) -> tuple[str, float]:
-    """A task's name as words and a number, so that density-4 comes before density-16."""
-    words, _, number = name.partition("-")
-    return (words, float(number)) if number.isdecimal() else (name, 0.0)
-
-
 def _place(world: str) -> str:
     return world.removesuffix(f", {TUNED}")
 
@@ -173,8 +144,7 @@ def _place(world: str) -> str:
 def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     """Where a run was trained, how scripts fly there, and its table of seeds: only of the study's episodes.
 
-    Raises:
-        RunError: its world is not known, or it was not flown as in the study.
+    Raises a RunError where its world is not known, or it was not evaluated as in the study.
     """
     from uavnav.evaluation import Protocol, rows_across  # these know the tasks, and so load torch
     from uavnav.evaluation.scripts import protocol_in
@@ -211,9 +181,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
 
 def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
-    """The measures of some episodes, a row a seed. An episode that reaches its goal counts as truncated
-    there.
-    """
+    """The measures of some episodes, a row a seed; the goal counts as truncation."""
     ended = collided(flown)
     survival = {
         seed: stats.restricted_mean(
@@ -230,9 +198,7 @@ _NONE = pd.DataFrame()
 
 @dataclass(eq=False)
 class Evidence:
-    """What the claims of the discussion ask (an `Evidence` of `claims`); means over tasks are of
-    configurations in all.
-    """
+    """What the claims of the discussion ask (`claims.Evidence`); means over tasks need all of them."""
 
     seeds: Mapping[Key, pd.DataFrame]
 
@@ -266,19 +232,16 @@ class Evidence:
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
-        """The rank correlation of a measure with the reward across the configurations of a world, mean over
-        worlds: [S]; without: some algorithms.
+        """A measure's rank correlation with the reward across a world's configurations, mean over all: [S].
 
-        Seeds of the same number are taken together: as if each were a study of its own.
+        Seeds of the same number are taken together, as a study of its own; without: some algorithms.
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
         for world in self._worlds:
             own = (key for key in self._seeds if key[0] == world and key[1] not in without)
             configurations = (key for key in own if self._everywhere(*key[1:]))
-            mine = [
-                table for configuration in configurations if measure in (table := self._seeds[configuration])
-            ]
+            mine = [table for one in configurations if measure in (table := self._seeds[one])]
             if len(mine) > 2:
                 first, second = (
                     pd.concat(
@@ -296,9 +259,11 @@ class Evidence:
 def summary(found: Worlds) -> pd.DataFrame:
     """A row a world, configuration (or script) and measure: value, low, high and n, intervals over seeds."""
     values = []
-    everything = [(key[0], _named(key), table) for key, table in found.seeds.items()]
-    everything += [(world, rule, table) for (world, rule), table in found.scripted.items()]
-    for world, name, table in everything:
+    everything = {
+        (world, f"{algorithm.upper()} {activation}{' fast' * (world != _place(world))}"): table
+        for (world, algorithm, activation), table in found.seeds.items()
+    }
+    for (world, name), table in (everything | found.scripted).items():
         for metric in (one for one in (*MEASURES, *OWN) if one in table):
             # most episodes end at the goal: few tell how long one lives
             if metric == "survival" and "success" in table:
@@ -308,50 +273,31 @@ def summary(found: Worlds) -> pd.DataFrame:
     return pd.DataFrame(values, columns=["world", "who", "metric", "value", "low", "high", "n"])
 
 
-def _named(key: Key) -> str:
-    world, algorithm, activation = key
-    return f"{algorithm.upper()} {activation}" + (" fast" if world != _place(world) else "")
-
-
-def _rewards(found: pd.DataFrame) -> dict[str, tuple[dict[str, Interval], dict[str, Interval]]]:
-    """Rewards of each task's learned configurations, the best first, and of its scripts."""
-    rewards = {}
-    for world, mine in found[found["metric"] == "reward"].groupby("world", sort=False):
-        both = {row[1]: Interval(*row[3:]) for row in mine.itertuples(index=False)}
-        best = sorted(
-            (item for item in both.items() if item[0] not in SCRIPTS), key=lambda item: -item[1].value
-        )
-        rewards[str(world)] = dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
-    return rewards
-
-
 def leaders(found: pd.DataFrame) -> pd.DataFrame:
-    """Who is ahead in each task, by reward per episode: columns world, best, value, low, high, script,
-    scripted, ahead and chance. found: of `summary`.
+    """Who is ahead in each task by reward per episode, a row a task; found: of `summary`.
 
     A script is ahead if it is above every policy's interval, a policy if its interval is above every script.
     `chance` has the policies whose interval is not above a random policy's.
     """
     rows = []
-    for world, (learned, scripts) in _rewards(found).items():
-        best, most = next(iter(learned.items()))
-        none = Interval(np.nan, np.nan, np.nan, 0)
-        script, top = max(scripts.items(), key=lambda item: item[1].value, default=("", none))
-        ahead = "neither" if scripts else ""
-        if all(top.value > _top(one) for one in learned.values()):
+    rewards = found[found["metric"] == "reward"].sort_values("value", ascending=False, kind="stable")
+    rewards = rewards.assign(top=rewards["high"].fillna(rewards["value"]))
+    for world in found["world"].unique():
+        mine = rewards[rewards["world"] == world]
+        scripted = mine["who"].isin(SCRIPTS)
+        scripts, learned = mine[scripted], mine[~scripted]
+        best, chance = learned.iloc[0], scripts.loc[scripts["who"] == DRAWS, "top"].max()
+        none = pd.Series({"who": "", "value": np.nan, "top": np.nan})
+        script, ahead = (scripts.iloc[0], "neither") if len(scripts) else (none, "")
+        if (script["value"] > learned["top"]).all():
             ahead = "a script"
-        elif most.low > _top(top):
+        elif best["low"] > script["top"]:
             ahead = "a policy"
-        chance = scripts.get(DRAWS, none)
-        under = "; ".join(who for who, one in learned.items() if one.low <= _top(chance))
-        rows.append([world, best, *most[:3], script, top.value, ahead, under])
+        under = "; ".join(learned.loc[learned["low"] <= chance, "who"])
+        numbers = best[["who", "value", "low", "high"]]
+        rows.append([world, *numbers, script["who"], script["value"], ahead, under])
     columns = ["world", "best", "value", "low", "high", "script", "scripted", "ahead", "chance"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def _top(one: Interval) -> float:
-    """The upper end of an interval, or the value where there is none."""
-    return one.high if np.isfinite(one.high) else one.value
 
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:

@@ -125,11 +125,7 @@ class Progress(Facts):
 class Run:
     """A finished run, read from its folder.
 
-    Args:
-        path: the run's folder.
-        fresh: true if this call trained the run, false if the run existed before.
-        rows: whether its training episodes are read; a study that is judged by its episodes may leave them
-            out.
+    fresh: true if this call trained it; rows: whether its training episodes are read.
 
     Raises:
         RunError: the folder is missing or is no run's, or the run is not finished or damaged.
@@ -219,8 +215,7 @@ def kept(at: float) -> str:
 def default_folder(algorithm: str, preset: str, activation: str, changes: Mapping[str, str]) -> Path:
     """runs/<algorithm>-<preset>/<activation>[-<key>=<value> ...], below the current directory.
 
-    changes: what else differs from the preset, as a command line gives it; a hash stands for it where it is
-        long, or no file's name.
+    changes: what else differs from the preset; a hash stands for it where it is long, or no file's name.
     """
     told = "-".join(f"{name}={value.strip('[]')}" for name, value in sorted(changes.items()))
     if not re.fullmatch(rf"[\w.,=+-]{{0,{LONGEST_NAME}}}", told, re.ASCII):
@@ -242,9 +237,7 @@ def runs_below(folder: Path) -> str:
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
-    """What a run's config.yaml or meta.json contains; raises a RunError where it is missing, damaged, or no
-    run's.
-    """
+    """What a config.yaml or meta.json contains; raises a RunError if missing, damaged, or no run's."""
     said: Any
     kind: type[Facts]
     kind, what = (Meta, "facts") if path.suffix == ".json" else (Config, "configuration")
@@ -266,10 +259,7 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
 
 
 def progress(folder: Path) -> dict[str, Any]:
-    """What `progress.json` says; empty where it cannot be read.
-
-    `frames` per seed of `total`, `rate` (0: not known yet), `lately`, and `at`.
-    """
+    """What `progress.json` says, with a `rate` of 0 where it is not known; empty where unreadable."""
     try:
         there = files.facts(Progress, files.read_json(folder / PROGRESS))
     except (OSError, ValueError):
@@ -278,9 +268,7 @@ def progress(folder: Path) -> dict[str, Any]:
 
 
 def saved_frames(folder: Path) -> int:
-    """The frames per seed behind the newest snapshot of an unfinished run, by the files' names; 0: there is
-    none.
-    """
+    """The frames per seed behind the newest snapshot of an unfinished run, by file names; 0 without one."""
     workers = [one for one in folder.glob(f"{WORKERS}/*") if one.is_dir()]
     if workers:
         return min(map(saved_frames, workers))
@@ -291,9 +279,7 @@ def saved_frames(folder: Path) -> int:
 
 
 def heard(told: Mapping[str, Any], now: float) -> bool:
-    """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of
-    the future.
-    """
+    """Whether a run that said this runs; a killed one may speak of the future, after a clock was set back."""
     return bool(told) and abs(now - told["at"]) < SILENCE
 
 

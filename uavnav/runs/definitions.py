@@ -1,5 +1,4 @@
-"""The metric definitions: all that the paper's tables may have averaged over (decision 12), from the rows of
-a run.
+"""The metric definitions: all that the paper's tables may have averaged over (decision 12).
 
 A metric definition is a table with a row a seed and a column a metric of `metrics.METRICS`. Frames are per
 seed. An episode of s steps in one of W parallel environments that ended at frame f lasted from f - s W to f.
@@ -58,12 +57,11 @@ def per_frame(episodes: pd.DataFrame, frames: int) -> pd.DataFrame:
 
 
 def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.DataFrame:
-    """The mean over a run's log of Stable-Baselines3's `rollout/ep_rew_mean`, and of each other metric
-    likewise.
+    """The mean over a run's log of Stable-Baselines3's `rollout/ep_rew_mean`; of other metrics likewise.
 
     An entry of the log is the mean of the last 100 episodes that have ended by then; ratios are means of the
-    episodes' ratios. There is no entry before the first episode has ended. Episodes that end in one step of
-    all environments are all in the mean before any is counted. A seed without an entry has NaN.
+    episodes' ratios. Episodes that end in one step of all environments are all in the mean before any is
+    counted. A seed without an entry has NaN.
 
     frames: that each seed had; unit, every: it logs every so many `frames` per seed or finished `episodes`.
     """
@@ -85,10 +83,9 @@ def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.
 
 
 def last_hundred(episodes: pd.DataFrame, column: str, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
-    """The mean over the frames of windows of what Stable-Baselines3 would log there: the mean of a column
-    over the last 100 episodes that have ended (`rollout/ep_rew_mean`); a row a seed, a column a window.
+    """The mean over windows of frames of `rollout/ep_rew_mean`: a row a seed, a column a window.
 
-    Frames before the first episode's end count for nothing.
+    That is the mean over the last 100 episodes that have ended. Frames before the first end do not count.
     """
     rows = {}
     for seed, own in in_order(episodes).groupby("seed"):
@@ -111,8 +108,7 @@ def within(
 ) -> pd.DataFrame:
     """A column's sum per frame in windows [low, high) of frames: a row a seed, a column a window.
 
-    An episode's sum is spread evenly over its frames, but for what the collision at its end brings, which
-    is in its last frame. collision: how much that is.
+    An episode's sum is spread evenly over its frames, but what a `collision` brings is in its last frame.
     """
     edges, place = np.unique(np.asarray(windows, dtype=np.float64), return_inverse=True)
     owner, seeds = pd.factorize(episodes["seed"], sort=True)

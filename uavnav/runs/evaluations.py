@@ -22,10 +22,8 @@ class Protocol(NamedTuple):
     at: float | None = None  # the share of training after which the policies were kept; None: its end
 
     def file(self, name: str) -> str:
-        """The file of a policy's rows: `evaluation.parquet`, or such as
-        `evaluation-test-200-10000-noise=5.parquet`.
-
-        Only the usual protocol has no parts, so that no file replaces another's.
+        """The file of a policy's rows: `evaluation.parquet` of the usual protocol, others with their parts,
+        such as `evaluation-test-200-10000-noise=5.parquet`.
         """
         parts: list[Any] = [] if self.at is None else [f"at-{self.at:g}"]
         parts += [self.task] * (self.task != "drone") + [self._layouts(), self.episodes, self.max_steps]

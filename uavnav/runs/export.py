@@ -74,12 +74,7 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
     )
     for node in program.graph.nodes:
         # paths of this machine
-        for name in (
-            "stack_trace",
-            "nn_module_stack",
-            "source_fn_stack",
-            "from_node",
-        ):
+        for name in ("stack_trace", "nn_module_stack", "source_fn_stack", "from_node"):
             node.meta.pop(name, None)
     return program
 

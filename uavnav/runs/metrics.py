@@ -1,5 +1,4 @@
-"""The six metrics of sec. 4.3, as means over episodes; `definitions` has all that the paper may have
-averaged.
+"""The six metrics of sec. 4.3, as means over episodes; `definitions` has all that may have been averaged.
 
 A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line
 to `METRICS`. A metric that counts something new also needs a column in `EPISODE_COLUMNS`.
@@ -35,9 +34,7 @@ TRAINED, EVALUATED = (
 """Columns without which a table of training episodes, or of evaluated ones, is none."""
 
 MODES = ("greedy", "sampled")
-"""How a policy is evaluated: always the best action, or as at the end of training (sampled DQN: epsilon =
-0.05).
-"""
+"""How a policy acts in an evaluation; sampled DQN has epsilon = 0.05."""
 
 LAST = 100
 """Episodes that count as the last; Stable-Baselines3's log averages the same number."""
@@ -103,9 +100,7 @@ PER_EPISODE = {
     "collisions": "collisions per 1,000 px",
     "survive": "episodes that reach the time limit [%]",
 }
-"""What episodes in any task are judged by, in words with its unit; those of `OWN` that rows tell come on
-top.
-"""
+"""What episodes in any task are judged by, in words with its unit."""
 COLLISIONS_PER = 1000.0  # px
 
 
@@ -115,9 +110,7 @@ def collided(episodes: pd.DataFrame) -> pd.Series:
 
 
 def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
-    """Each measure of some episodes: a row a seed, a column a measure; those of `PER_EPISODE` and of
-    `OWN`.
-    """
+    """A row a seed, a column a measure: those of `PER_EPISODE` and of `OWN`."""
     sums = (
         flown.assign(hit=collided(flown))
         .groupby("seed")
@@ -129,9 +122,7 @@ def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
 
 
 def spl(episodes: pd.DataFrame) -> float:
-    """Success weighted by path length (Anderson et al. 2018): the mean of success x shortest / max(flown,
-    shortest).
-    """
+    """Success weighted by path length (Anderson et al. 2018): success x shortest / max(flown, shortest)."""
     shortest = episodes["shortest"]
     return float((episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)).mean())
 
@@ -153,9 +144,7 @@ def finished(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def in_order(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The episodes that ended, those of each seed together and in order of time; a table that is so as it
-    is.
-    """
+    """The episodes that ended, each seed's together and in order of time."""
     ended = np.flatnonzero(episodes["terminated"] | episodes["truncated"])
     keys = [episodes[name].to_numpy()[ended] for name in ("env", "frame", "seed") if name in episodes]
     is_later = np.ones(max(len(ended) - 1, 0), dtype=bool)

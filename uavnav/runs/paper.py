@@ -6,9 +6,7 @@ import math
 
 TITLE = "Comparative Analysis of DQN and PPO Algorithms in UAV Obstacle Avoidance 2D Simulation"
 COLUMNS = ("steps", "full_stops", "turns", "distance", "speed", "reward")
-"""The six metrics in the tables' order; their units: per episode, %, %, px per episode, px per step, per
-episode.
-"""
+"""The six metrics in the tables' order; their units: episode, %, %, px an episode, px a step, episode."""
 
 TABLES: dict[tuple[str, str], dict[str, float]] = {
     configuration: dict(zip(COLUMNS, row, strict=True))
@@ -24,9 +22,7 @@ TABLES: dict[tuple[str, str], dict[str, float]] = {
     }.items()
 }
 TABLE_OF, CURVES_OF = {"dqn": 1, "ppo": 2}, {"dqn": 4, "ppo": 5}
-"""Numbers of an algorithm's table and of its figure with learning curves; the algorithms in the paper's
-order.
-"""
+"""Numbers of an algorithm's table and of its figure with learning curves, in the paper's order."""
 PATHS = (6, 7)
 """Numbers of the figures with flown paths."""
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
@@ -36,9 +32,8 @@ ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 def printed(algorithm: str, activation: str, metric: str, per_frame: bool = False) -> float:
     """A number of the tables; NaN where they have none.
 
-    per_frame: as in the metric definition *per frame*: reward / steps, and distance / steps for the speed.
-    Each of the paper's episodes ended in a collision, so that its steps and distance are per collision as
-    they are.
+    per_frame: reward / steps, and distance / steps for the speed. Steps and distance are per collision as
+    they are, as each of the paper's episodes ended in one.
     """
     row = TABLES.get((algorithm, activation), {})
     if per_frame and row:

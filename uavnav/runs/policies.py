@@ -39,9 +39,7 @@ SB3_WEIGHTS, SB3_SETTINGS = "policy.pth", "data"
 SB3_MAX_BYTES = 2**26
 """Of a zip's weights, unpacked: a network of 64-64 has a hundred thousand."""
 SB3_EPSILON = 0.05
-"""Stable-Baselines3's final epsilon by default, and ours in the preset `vectorised`: a zip's weights do
-not tell.
-"""
+"""The final epsilon by default, Stable-Baselines3's and ours: a zip's weights do not tell."""
 
 
 class PolicyError(OneLineError, ValueError):
@@ -157,11 +155,7 @@ def is_zip(run: str | Path) -> bool:
 
 
 def zips(words: Sequence[str], activation: str | None) -> list[str]:
-    """Which of a command's words are zips, whose activation `--activation` says.
-
-    Raises:
-        PolicyError: an activation is given, and none of them is a zip.
-    """
+    """Which of a command's words are zips; a PolicyError where an activation is given and none is."""
     found = [word for word in words if is_zip(word)]
     if activation is not None and not found:
         raise PolicyError(f"--activation {activation}: runs know their own; give it with a .zip")
@@ -175,11 +169,7 @@ def seeds(path: str | Path) -> list[int]:
 
 
 def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
-    """What a policy file contains: the tensors of all seeds by name, and its header.
-
-    Raises:
-        PolicyError: the file is missing or damaged.
-    """
+    """What a policy file contains: the tensors of all seeds by name, and its header; raises a PolicyError."""
     try:
         tensors, said = safe.read(path)
         header = files.facts(Header, files.parsed(said.get("uavnav", "{}")))
@@ -305,10 +295,7 @@ def _trained_in(path: Path, header: Header, acts: str | None, head: str | None) 
 def _network(
     path: Path, header: Header, tensors: Mapping[str, Tensor], head: str, task: WrappedTask
 ) -> tuple[list[int], dict[str, Tensor]]:
-    """The sizes of the layers of a file's networks, and their weights [A, ...] as a network calls them.
-
-    What they are is checked before memory is taken for a network.
-    """
+    """The layers' sizes, and the weights [A, ...] by a network's names; checked before memory is taken."""
     weights = {key.removeprefix("policy."): one for key, one in tensors.items() if key.startswith("policy.")}
     try:
         if any(tensor.shape[:1] != (len(header.seeds),) for tensor in tensors.values()):

@@ -14,9 +14,7 @@ from uavnav import files
 from uavnav.runs.tables import RunError, read_csv
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
-"""What a study that tunes writes into; in there its trials, which are no runs of their own; and winners,
-by trial.
-"""
+"""What a study that tunes writes into: trials, which are no runs of their own, and winners by trial."""
 DEFAULT = "default"
 """Settings of rows of a comparison, other than `TUNED`."""
 DIFFERENCE = "tuned − default"
@@ -55,11 +53,7 @@ def folders(of: Sequence[Path]) -> list[Path]:
 
 
 def read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
-    """One of the tables; no rows where it is not there yet. Settings are JSON.
-
-    Raises:
-        RunError: it is another table, or damaged.
-    """
+    """One of the tables; no rows where it is not there yet; raises a RunError where it is another one."""
     if not path.exists():
         return pd.DataFrame(columns=list(columns))
     table = read_csv(path, columns, AGAIN)

@@ -78,9 +78,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+012345678
 
 
 def load(text: str) -> Any:
-    """What a YAML text says; numbers may be written as 1e6. Raises a ValueError as `files.parsed_yaml`
-    does.
-    """
+    """What a YAML text says; numbers may be 1e6. Raises a ValueError as `files.parsed_yaml` does."""
     return files.parsed_yaml(text, _Loader)
 
 
@@ -132,11 +130,7 @@ def names() -> list[str]:
 
 
 def read(name: str) -> Study:
-    """A study of the package by its name, or of a file that ends in .yaml.
-
-    Raises:
-        ConfigError: there is no such study, or its file is not as it should be.
-    """
+    """A study of the package by its name, or of a file that ends in .yaml; raises a ConfigError."""
     if not isinstance(name, str):
         raise ConfigError(f"name={told(name)}: there is no such study; {choose_from(name, names())}")
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
@@ -155,29 +149,24 @@ def read(name: str) -> Study:
 
 
 def _study(name: str, said: Any) -> Study:
-    if (
-        not isinstance(said, dict)
-        or not isinstance(said.get("configurations"), list)
-        or not said["configurations"]
-    ):
+    entries = said.get("configurations") if isinstance(said, dict) else None
+    if not isinstance(entries, list) or not entries:
         raise ConfigError("is no study; give a list of `configurations`, as uavnav/studies/paper.yaml does")
     for key in said:
         if key not in KEYS:
             raise unknown_key(str(key), KEYS)
     obstacles = said.get("obstacles", [])
-    if not isinstance(obstacles, list) or not all(
-        type(k) is int and 0 <= k <= MOST_OBSTACLES for k in obstacles
-    ):
+    known = isinstance(obstacles, list) and all(type(k) is int for k in obstacles)
+    if not known or not all(0 <= k <= MOST_OBSTACLES for k in obstacles):
         raise ConfigError(f"obstacles={obstacles}; give a list of numbers of obstacles, such as [4, 12]")
-    for configuration in said["configurations"]:
-        if not isinstance(configuration, dict) or "algorithm" not in configuration:
-            raise ConfigError(f"{configuration}: is no configuration; it needs at least an `algorithm`")
-        if not algorithms(configuration) or not all(
-            isinstance(name, str) for name in algorithms(configuration)
-        ):
-            raise ConfigError(f"algorithm={configuration['algorithm']}; give a name, or a list of some")
-    settings = said.get("settings", {})
-    for part in (settings, *said["configurations"]):
+    for entry in entries:
+        if not isinstance(entry, dict) or "algorithm" not in entry:
+            raise ConfigError(f"{entry}: is no configuration; it needs at least an `algorithm`")
+        named = algorithms(entry)
+        if not named or not all(isinstance(one, str) for one in named):
+            raise ConfigError(f"algorithm={entry['algorithm']}; give a name, or a list of some")
+    settings, scripts = said.get("settings", {}), said.get("scripts")
+    for part in (settings, *entries):
         check_settings("settings", part)
         for algorithm in ALGORITHMS:
             check_settings(algorithm, part.get(algorithm, {}))
@@ -186,41 +175,28 @@ def _study(name: str, said: Any) -> Study:
             raise ConfigError(
                 f"{key}={said[key]}; give keys and values, as uavnav/studies/{example}.yaml does"
             )
-    scripts = said.get("scripts")
-    if scripts is not None and not (isinstance(scripts, str) and _is_folder(scripts) and _is_within(scripts)):
-        raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
-    return Study(
-        name,
-        one_line(said.get("what", name)),
-        [*dict.fromkeys(obstacles)],
-        settings,
-        said["configurations"],
-        said.get("tune"),
-        scripts,
-        said.get("draw"),
-    )
+    if scripts is not None:
+        below = isinstance(scripts, str) and not os.path.isabs(scripts) and ".." not in Path(scripts).parts
+        if not below or not _is_folder(scripts):
+            raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
+    what, tune, draw = one_line(said.get("what", name)), said.get("tune"), said.get("draw")
+    return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, scripts, draw)
 
 
 def only(study: Study, chosen: str | None) -> Study:
-    """The same with the configurations of some algorithms, their names between commas.
-
-    Raises:
-        ConfigError: it has no configuration of one of them.
-    """
+    """The same with the configurations of some algorithms, their names between commas."""
     if chosen is None:
         return study
     wanted = [name.strip() for name in chosen.split(",")]
-    there = {name for configuration in study.configurations for name in algorithms(configuration)}
+    there = {name for one in study.configurations for name in algorithms(one)}
     for name in wanted:
         if name not in there:
             raise unknown("algorithms", name, there)
     kept = [
-        dict(configuration) | {"algorithm": [name for name in algorithms(configuration) if name in wanted]}
-        for configuration in study.configurations
+        dict(one) | {"algorithm": [name for name in algorithms(one) if name in wanted]}
+        for one in study.configurations
     ]
-    return study._replace(
-        configurations=[configuration for configuration in kept if configuration["algorithm"]]
-    )
+    return study._replace(configurations=[one for one in kept if one["algorithm"]])
 
 
 def check_settings(name: str, said: Any) -> None:
@@ -231,21 +207,16 @@ def check_settings(name: str, said: Any) -> None:
 
 def algorithms(configuration: Mapping[str, Any]) -> list[str]:
     """Those of an entry of `configurations`."""
-    return (
-        configuration["algorithm"]
-        if isinstance(configuration["algorithm"], list)
-        else [configuration["algorithm"]]
-    )
+    named = configuration["algorithm"]
+    return named if isinstance(named, list) else [named]
 
 
 def configurations(
     study: Study, out: Path, seeds: int | None = None, frames: int | None = None
 ) -> list[Configuration]:
-    """The configurations of a study below a folder, with other numbers of seeds and frames where they are
-    given.
+    """The configurations of a study below a folder, with other numbers of seeds and frames where given.
 
-    Raises:
-        ConfigError: a setting is wrong, or two configurations share a folder.
+    Raises a ConfigError where a setting is wrong, or two configurations share a folder.
     """
     given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
     found: list[Configuration] = []
@@ -254,12 +225,8 @@ def configurations(
         for algorithm in algorithms(configuration):
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
-            several = (
-                _of(algorithm, study.settings)
-                | _of(algorithm, configuration)
-                | {"algorithm": algorithm}
-                | given
-            )
+            own = _of(algorithm, study.settings) | _of(algorithm, configuration)
+            several = own | {"algorithm": algorithm} | given
             left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
             if left < 0:
                 raise ConfigError(
@@ -272,7 +239,7 @@ def configurations(
                 ]
             except (ConfigError, LayoutError) as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
-    for folder, number in Counter(configuration.out for configuration in found).items():
+    for folder, number in Counter(one.out for one in found).items():
         if number > 1:
             raise ConfigError(
                 f"study {study.name}: folder={folder}: two configurations share it; name in braces what "
@@ -293,9 +260,7 @@ def _is_list(key: str, value: Any) -> bool:
 
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One configuration for each combination of the values that are lists; `hidden` is one by itself,
-    unless it has some.
-    """
+    """One configuration for each combination of the values that are lists."""
     values = {key: value if _is_list(key, value) else [value] for key, value in several.items()}
     for key, value in values.items():
         if not value:
@@ -335,9 +300,7 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
-    """A pattern whose names in braces are filled in, only with short formats: a long one may ask for
-    gigabytes.
-    """
+    """A pattern with its names in braces filled in; a long format would ask for gigabytes."""
     filled = ""
     try:
         for text, name, width, conversion in string.Formatter().parse(str(pattern)):
@@ -355,11 +318,6 @@ def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
             f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}"
         ) from error
     return filled
-
-
-def _is_within(name: str) -> bool:
-    """Whether a name leads to a folder below the one it is read in."""
-    return not os.path.isabs(name) and ".." not in Path(name).parts
 
 
 def _is_folder(name: str) -> bool:

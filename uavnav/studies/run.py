@@ -1,9 +1,8 @@
 """Carry a study out: workers as jobs of an engine, configurations put together and evaluated as they finish.
 
-Everything is in files below the study's folder, so that the same command goes on after whatever has ended
-it. An engine's word that a job runs is a hint: whether a job lives is what its own heartbeat says, and how it
-ended is in the files. A worker whose job has died is given again, under its folder's next name, and goes on
-from its last snapshot.
+All is in files below the study's folder, so that the same command goes on after whatever has ended it.
+Whether a job lives is what its own heartbeat says; an engine's word is a hint. A worker whose job has died
+is given again, under its folder's next name, and goes on from its last snapshot.
 """
 
 from __future__ import annotations
@@ -155,15 +154,9 @@ def asked(
     seconds: float | None = None,
     wait: Say = lambda told: None,
 ) -> Answer:
-    """What an engine answers.
+    """What an engine answers in so many seconds, by default `ANSWER_SECONDS`; or the question's exception.
 
-    Args:
-        seconds: given to the engine; by default `ANSWER_SECONDS`.
-        wait: is told each minute how long that has lasted.
-
-    Raises:
-        Unanswered: it does not answer within that time.
-        Exception: whatever the question raises.
+    wait: is told each minute how long that has lasted. Raises Unanswered where there is no answer.
     """
     seconds = ANSWER_SECONDS if seconds is None else seconds
     answer: Future[Answer] = Future()
@@ -197,9 +190,7 @@ def trained(configuration: Configuration) -> bool:
 
 
 def unflown(configuration: Configuration) -> list[list[str]]:
-    """The episodes of a configuration that its study asks for and that are missing: each the words of
-    `uavnav evaluate`.
-    """
+    """The missing episodes that a configuration's study asks for: each the words of `uavnav evaluate`."""
     if configuration.evaluation is None:
         return []
     out = configuration.out
@@ -237,17 +228,13 @@ class Runner:
 
     Args:
         out: its folder, which all machines see.
-        configurations: of the study; what is finished of them is left as it is.
-        engine: where its jobs run.
         seeds_per_worker: how many seeds a worker trains; by default the engine's own.
         policies: train a configuration again of which a repository has kept only the rows.
         checkpoint_seconds: the least time between two snapshots of a worker.
-        tell: is told the configurations under way, now and then.
-        say: is told what happens, a line each.
+        tell: is told the configurations under way, now and then; say: what happens, a line each.
 
     Raises:
-        ConfigError, LayoutError, RunError: before any work: a configuration's folder contains something else
-            or cannot be written.
+        ConfigError, LayoutError, RunError: before any work: a configuration's folder cannot be used.
     """
 
     def __init__(
@@ -271,11 +258,7 @@ class Runner:
                     f"{configuration.out}: n_seeds={configuration.config.n_seeds}; give at most "
                     f"{MOST_SEEDS:,}"
                 )
-        self.works = [
-            Work(configuration)
-            for configuration in configurations
-            if not (self._trained(configuration) and evaluated(configuration))
-        ]
+        self.works = [Work(one) for one in configurations if not (self._trained(one) and evaluated(one))]
         for configuration in configurations:
             # the folder of a finished one, too, may contain another run
             Recorder(configuration.out, configuration.config)
@@ -297,16 +280,12 @@ class Runner:
         return trained(configuration) and (not self.policies or (configuration.out / POLICY).exists())
 
     def run(self) -> list[Work]:
-        """Train and evaluate what is left.
-
-        Returns:
-            The configurations that failed, each with its `problem`.
+        """Train and evaluate what is left; returns the configurations that failed, each with its `problem`.
 
         Raises:
             ConfigError: the engine's machines do not see the folder.
             Interrupted: by SIGINT or SIGTERM; every worker was asked to save itself.
-            RunError: another process carries it out, its engine does not answer, or no job has lived for an
-                hour.
+            RunError: another process does, the engine does not answer, or no job has lived for an hour.
         """
         self.out.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
@@ -419,9 +398,7 @@ class Runner:
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:
-        """The jobs that have ended, by their engine's word or, now and then, by their files; and dead
-        ones.
-        """
+        """The jobs that have ended, by their engine's word or their files; and dead ones."""
         handles = [job.handle for job in self._running]
         unknown = [False for _ in handles]
         ended = (
@@ -437,9 +414,7 @@ class Runner:
         ]
 
     def _dead(self, job: Job) -> bool:
-        """Whether a job is silent, stuck, or does not begin, for longer than its engine explains; then it
-        is ended.
-        """
+        """Whether a job is silent, stuck, or does not begin, for too long; then it is ended."""
         silence, now = job.silence(), time.monotonic()
         if not job.begun:
             what, since, limit = "has not begun", now - job.since, QUEUE_SECONDS
@@ -468,11 +443,7 @@ class Runner:
                 self._ask(functools.partial(self.engine.cancel, job.handle), None)
 
     def _check_waiting(self) -> None:
-        """Say now and then what the study waits for while no job lives.
-
-        Raises:
-            RunError: that has lasted for an hour, and no job is queued.
-        """
+        """Say now and then what the study waits for while no job lives; raises a RunError after an hour."""
         now, running, left = time.monotonic(), self._running, len(self._waiting)
         if not (running or left) or any(job.begun and now - job.heard < SAY_SECONDS for job in running):
             self._lived = self._said = now

@@ -54,9 +54,7 @@ class Plan(NamedTuple):
     @property
     def algorithms(self) -> list[str]:
         """Those that the study has configurations of."""
-        there = {
-            name for configuration in self.study.configurations for name in studies.algorithms(configuration)
-        }
+        there = {name for one in self.study.configurations for name in studies.algorithms(one)}
         return [name for name in self.said["space"] if name in there]
 
     def range(self, algorithm: str, setting: str) -> Any:
@@ -66,7 +64,10 @@ class Plan(NamedTuple):
     def defaults(self, algorithm: str) -> Settings:
         """What the searched settings are in the preset `vectorised`."""
         usual = ALGORITHMS[algorithm].presets["vectorised"]
-        return {name: _short(name, getattr(usual, name, None)) for name in self.said["space"][algorithm]}
+        found: Settings = {name: getattr(usual, name, None) for name in self.said["space"][algorithm]}
+        if found.get("hidden"):  # all layers have the same width
+            found["hidden"] = found["hidden"][0]
+        return found
 
     def configuration(
         self, algorithm: str, settings: Mapping[str, Any], folder: str, usual: Mapping[str, Any]
@@ -87,8 +88,7 @@ class Plan(NamedTuple):
         return self.configuration(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
 
     def winner(self, algorithm: str, trials: pd.DataFrame) -> Configuration | None:
-        """The best trial's settings, trained as the study's other configurations are; None where no trial has
-        finished.
+        """The best trial's settings, trained as the others; None without a trial that finished.
 
         Its folder has the trial's number, so that another winner after more trials is a run of its own.
         """
@@ -99,20 +99,12 @@ class Plan(NamedTuple):
         )
 
 
-def _short(name: str, value: Any) -> Any:
-    """The width of hidden layers that all have the same, as one number."""
-    return value[0] if name == "hidden" and value else value
-
-
 def plan(
     study: Study, out: Path, trials: int | None = None, seeds: int | None = None, frames: int | None = None
 ) -> Plan | None:
-    """What a study's file says of tuning, and other numbers where they are given; None where it tunes
-    nothing.
+    """What a study's file says of tuning, and other numbers where given; None where it tunes nothing.
 
-    Raises:
-        ConfigError: a key, a range or a setting is not right, a default is outside its range, or trials
-            share seeds with the configurations that are compared in the end.
+    Raises a ConfigError, also where trials share seeds with the configurations that are compared in the end.
     """
     if (said := study.tune) is None:
         return None
@@ -128,7 +120,7 @@ def plan(
             raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CONFIGURATIONS:,} in all")
         studies.check_settings("settings", said["settings"])
         for algorithm in dict.fromkeys(
-            name for configuration in study.configurations for name in studies.algorithms(configuration)
+            name for one in study.configurations for name in studies.algorithms(one)
         ):
             if algorithm not in said["space"]:
                 raise unknown("algorithm", algorithm, said["space"])
@@ -183,7 +175,7 @@ def _check_seeds(found: Plan) -> None:
     compared = studies.configurations(found.study, found.out, seeds, found.frames)
     for algorithm in found.algorithms:
         seen = {*found.trial(algorithm, 0, {}).config.seeds}
-        own = [configuration for configuration in compared if configuration.config.algorithm == algorithm]
+        own = [one for one in compared if one.config.algorithm == algorithm]
         for configuration in (found.configuration(algorithm, {}, TUNED, said), *own):
             if shared := seen.intersection(configuration.config.seeds):
                 raise ConfigError(
@@ -200,19 +192,16 @@ def trials(found: Plan) -> pd.DataFrame:
 def winners(found: Plan) -> list[Configuration]:
     """The configurations that train the best trial's settings of each algorithm that has a finished one."""
     configurations = [found.winner(name, trials(found)) for name in found.algorithms]
-    return [configuration for configuration in configurations if configuration is not None]
+    return [one for one in configurations if one is not None]
 
 
 def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
-    """All configurations of a tuning besides the study's own, a told trial's with its state; settings not
-    known are defaults.
-    """
+    """All configurations of a tuning besides the study's own, a trial's with its state."""
     there = trials(found).set_index(["algorithm", "trial"])["state"].to_dict()
     wanted = [(name, number) for name in found.algorithms for number in range(found.trials)]
     own = [(found.trial(*key, found.defaults(key[0])), there.get(key)) for key in wanted]
     configurations = {name: found.winner(name, trials(found)) for name in found.algorithms}
     usual = found.study.settings
     return own + [
-        (configuration or found.configuration(name, {}, TUNED, usual), None)
-        for name, configuration in configurations.items()
+        (one or found.configuration(name, {}, TUNED, usual), None) for name, one in configurations.items()
     ]

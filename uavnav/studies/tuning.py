@@ -1,12 +1,9 @@
-"""Tuning: the same number of trials for each algorithm of a study, over the search space of its file
-(`search`).
+"""Tuning: the same number of trials for each algorithm of a study, over the search space of its file.
 
 Optuna asks and is told, and keeps its journal as lines of JSON in `journal.jsonl`. Trials are configurations
-like any other, so that a killed one goes on from its last snapshot. They are asked for in rounds of
-`at_once`, each with a sampler whose seed is its number: whatever kills the study, the same command ends with
-the same trials.
-
-`trials.csv` and `importance.csv` contain what a report says of them, without Optuna.
+like any other, asked for in rounds of `at_once`, each with a sampler whose seed is its number: whatever
+kills the study, the same command ends with the same trials. `trials.csv` and `importance.csv` are read
+without Optuna.
 """
 
 from __future__ import annotations
@@ -48,8 +45,7 @@ Train = Callable[[Sequence[Configuration]], list[Work]]
 
 
 def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[Work]:
-    """Ask, train and tell, until each algorithm has its trials; train: a study's configurations, those that
-    failed returned.
+    """Ask, train and tell, until each algorithm has its trials; train: returns those that failed.
 
     Returns:
         The trials that failed for another reason than that they diverged; the same call repeats them.
@@ -72,10 +68,7 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
             ]
             if not round_:
                 break
-            failed = {
-                str(work.configuration.out): work
-                for work in train([configuration for _, _, configuration in round_])
-            }
+            failed = {str(work.configuration.out): work for work in train([one for _, _, one in round_])}
             if others := [work for work in failed.values() if not work.diverged]:
                 return others
             for search, trial, configuration in round_:

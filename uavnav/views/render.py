@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,17 +23,7 @@ from torch import Tensor
 from uavnav import files
 from uavnav.colours import OTHERS, PILOTS, colours, rgb
 from uavnav.envs import drawing
-from uavnav.envs.drawing import (
-    BORDER,
-    GROUND,
-    INK,
-    OBSTACLE,
-    SENSED,
-    STEPS_PER_SECOND,
-    Colour,
-    Picture,
-    font,
-)
+from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.errors import did_you_mean
 from uavnav.evaluation import episodes
 from uavnav.runs import policies
@@ -124,11 +114,7 @@ def load_pilots(
 
 
 def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tensor:
-    """A layout file [n, k, 3] px of the pilots' world, in which there is a layout of that index.
-
-    Raises:
-        ValueError: there is no such layout file, or it has no such set.
-    """
+    """A layout file [n, k, 3] px of the pilots' world, in which there is a layout of that index."""
     all_layouts = splits.load(layouts, pilots[0].task.world if pilots else None)
     if not 0 <= layout < len(all_layouts):
         raise ValueError(f"--layout {layout}: choose from 0 to {len(all_layouts) - 1}")
@@ -138,8 +124,7 @@ def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tens
 def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:
     """One episode of a policy on one layout: the very episode that an evaluation of 200 layouts counts.
 
-    An evaluation flies its layouts as one batch, in which sampled actions of one episode follow others; so
-    does this.
+    Sampled actions of one episode follow others, as an evaluation flies its layouts as one batch.
     """
     task = pilot.task.on(layouts[: max(EPISODES, layout + 1)], max_steps)
     states = [at(episodes.start(task, [pilot.seed]), layout)]
@@ -156,15 +141,18 @@ def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:
 class Film(Sequence[Picture]):
     """Episodes on the same layout, side by side, with their trails: drawn when they are asked for.
 
-    obstacles: a layout of the split, such as [K, 3] px; width: of one episode's picture [px]; every: steps
-    from one picture to the next. The last picture is that of the last step of the longest episode; an episode
-    that is over stands still.
+    obstacles: a layout, such as [K, 3] px; width: of one episode's picture [px]; every: steps between
+    two. The last one is of the longest episode. An episode that is over stands still.
     """
 
     def __init__(self, episodes: Sequence[Episode], obstacles: Tensor, width: int, every: int = 1) -> None:
         self.episodes, self.obstacles, self.width = episodes, obstacles, width
         self.colours = [rgb(one) for one in colours(episode.pilot.kind for episode in episodes)]
-        self._trails = [[_place(state) for state in episode.states] for episode in episodes]
+        axes = [axis for axis in "xyz" if hasattr(episodes[0].states[0], axis)]
+        self._trails = [
+            [tuple(float(getattr(state, axis)) for axis in axes) for state in episode.states]
+            for episode in episodes
+        ]
         self._panel = functools.lru_cache(len(episodes))(self._draw)  # what stands still is drawn once
         last = max(len(episode.states) for episode in episodes) - 1
         self.steps = [*range(0, last, every), last]
@@ -172,15 +160,7 @@ class Film(Sequence[Picture]):
     def __len__(self) -> int:
         return len(self.steps)
 
-    @overload
-    def __getitem__(self, index: int) -> Picture: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Picture]: ...
-
-    def __getitem__(self, index: int | slice) -> Picture | Sequence[Picture]:
-        if isinstance(index, slice):
-            return [self[one] for one in range(*index.indices(len(self)))]
+    def __getitem__(self, index: int) -> Picture:  # type: ignore[override] # nobody slices a film
         step = self.steps[index]
         panels = [
             self._panel(number, min(step, len(episode.states) - 1))
@@ -207,11 +187,6 @@ class Film(Sequence[Picture]):
         panel.paste(arena, (0, 0))
         panel.paste(strip, (0, arena.height))
         return panel
-
-
-def _place(state: State) -> tuple[float, ...]:
-    """x and y [px], in a box also z."""
-    return tuple(float(getattr(state, axis)) for axis in "xyz" if hasattr(state, axis))
 
 
 def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour) -> Image.Image:
@@ -244,12 +219,7 @@ def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour)
 
 
 def check_picture(path: Path, rate: Fraction) -> str:
-    """The kind of a file by its name, if pictures can be written there, so many per second.
-
-    Raises:
-        ValueError: it is none of the three, its folder is missing, PyAV is, or a film would be too fast or
-            too slow.
-    """
+    """The kind of a file by its name; a ValueError where it takes no pictures at that rate."""
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
         raise ValueError(f"{path}{did_you_mean(kind, SUFFIXES)}: choose an .mp4, .gif or .png file")
@@ -271,11 +241,8 @@ def check_picture(path: Path, rate: Fraction) -> str:
 def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PER_SECOND) -> None:
     """Write pictures as MP4 or GIF, or the last one as PNG; the file is whole or not there.
 
-    fps: pictures per second. MP4 needs an even width and height: an odd one gains a column or a row of its
-        edge.
-
-    Raises:
-        ValueError: the file is none of these, too fast or too slow (`check_picture`), or cannot be written.
+    fps: pictures per second. An MP4's odd width or height gains a column or a row of its edge. Raises a
+    ValueError as `check_picture` does.
     """
     rate = Fraction(fps).limit_denominator(1000)
     kind = check_picture(path, rate)
@@ -291,9 +258,7 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
 
 
 def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
-    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one to
-    keep time.
-    """
+    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one."""
     palette = _palette(frames)
     ticks = [round(100 * index / rate) for index in range(len(frames) + 1)]
     pauses = [10 * (later - now) for now, later in itertools.pairwise(ticks)]
@@ -304,9 +269,7 @@ def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
 
 
 def _palette(frames: Sequence[Picture]) -> Image.Image:
-    """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over
-    the film.
-    """
+    """The colours of a GIF: those that things are drawn in, and the rest from five pictures of the film."""
     own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *map(rgb, (*PILOTS.values(), *OTHERS)))))
     spread = [frames[round(index * (len(frames) - 1) / 4)][::2, ::2] for index in range(5)]
     mixed = Image.fromarray(np.concatenate(spread)).quantize(COLOURS - len(own)).getpalette() or []

@@ -63,9 +63,7 @@ class Trained(NamedTuple):
 
 
 class Field(NamedTuple):
-    """How one quantity is kept: as the nearest whole number of units (or as it is, if the type is a
-    float's).
-    """
+    """How one quantity is kept: as the nearest whole number of units, or a float as it is."""
 
     type: str  # NumPy's name; bytes are little-endian
     unit: float
@@ -102,22 +100,15 @@ Columns = dict[str, Tensor]
 def record(
     configurations: Sequence[Trained], n_seeds: int = 3, n_layouts: int = 3, max_steps: int = 1000
 ) -> dict[str, Any]:
-    """Fly the first seeds of each configuration, as in training, on the first layouts of their own test
-    split.
+    """Fly the first seeds of each configuration, as in training, on the first layouts of their test split.
 
-    Args:
-        configurations: whose policies fly; those of one task and reward as one batch.
-        n_seeds: seeds a configuration, the lowest that can be loaded.
-        n_layouts: layouts.
-        max_steps: an episode that lasts so long is truncated.
+    n_seeds: of a configuration, the lowest that can be loaded; max_steps: longer episodes are truncated.
 
     Returns:
-        What the player reads, as JSON: `world` (its constants), `layouts` (of [x, y, radius]
-        px; None for those that are not shown), `actions` ([degrees, px] of each), `fields` (`FIELDS` in the
-        order of the bytes, and the columns of each), `configurations` (algorithm, label, mode, what its
-        values are, and `episodes` with seed, layout, steps, reward, how it ended, and the bytes; elsewhere
-        than in the paper's task also `_place`), `rule` (episodes of the scripted policy), and `left_out`: a
-        line for each policy that cannot fly.
+        What the player reads, as JSON: `world` (its constants), `layouts` (of [x, y, radius] px;
+        None for those that are not shown), `actions` ([degrees, px] of each), `fields` (of the bytes),
+        `configurations` (with their `episodes`; elsewhere than in the paper's task also `_place`), `rule`
+        (episodes of the scripted policy), and `left_out`: a line for each policy that cannot fly.
 
     Raises:
         ValueError: a count is below 1, or the split has fewer layouts.
@@ -152,16 +143,13 @@ def record(
         name |= {"accent": configuration.colour} if configuration.colour else {}
         own = [_pack(episode) for _ in population for episode in next(flown[sets])]
         name |= _place(next(iter(population.values())).task, sets, configuration.layouts or usual)
-        shown.append(
-            name | {"values": ALGORITHMS[configuration.algorithm].shown, "mode": "sampled", "episodes": own}
-        )
+        values = ALGORITHMS[configuration.algorithm].shown
+        shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
+    places = [*usual, *(place for one in configurations for place in one.layouts)]
     return {
         "world": world.model_dump(),
-        "layouts": _sparse(
-            all_layouts.double().numpy().round(2).tolist(),
-            [*usual, *(place for one in configurations for place in one.layouts)],
-        ),
+        "layouts": _sparse(all_layouts.double().numpy().round(2).tolist(), places),
         "actions": torch.stack([angle, distance], -1).tolist(),
         "fields": _told(FIELDS),
         "configurations": shown,
@@ -186,9 +174,7 @@ def record_apart(configurations: Sequence[Trained]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """What `record_apart` starts: read from the standard input which configurations fly, write to the
-    standard output how.
-    """
+    """The process of `record_apart`: configurations come by standard input, replays leave by output."""
     asked = json.load(sys.stdin)
     plugins.load(asked["plugins"])
     configurations = [
@@ -203,22 +189,16 @@ def _told(fields: Mapping[str, Field]) -> list[dict[str, Any]]:
 
 
 def together(recorded: dict[str, Any], configurations: Mapping[str, str], rule: str) -> dict[str, Any]:
-    """What a page needs to show the first seed of some configurations and the scripted policy on the same
-    obstacles.
+    """What a page needs to show first seeds of configurations and the scripted policy on the same obstacles.
 
-    recorded: as `record` gives it; configurations: names to show by the configuration's label, such as `PPO
-    tanh`; rule: the rule's name. The episodes are without what belongs to a choice. They begin where the
-    configurations' episodes are shortest.
+    recorded: as `record` gives it; configurations: names by the configuration's label, such as `PPO tanh`;
+    rule: the rule's name. Episodes are without choices, and begin where the configurations' are shortest.
     """
     # in the paper's task
-    there = [configuration for configuration in recorded["configurations"] if "place" not in configuration]
-    of = {
-        f"{configuration['algorithm'].upper()} {configuration['label']}": configuration["episodes"]
-        for configuration in there
-    }
-    flown = {name: of[label] for label, name in configurations.items() if label in of} | {
-        rule: recorded["rule"]
-    }
+    there = [one for one in recorded["configurations"] if "place" not in one]
+    of = {f"{one['algorithm'].upper()} {one['label']}": one["episodes"] for one in there}
+    flown = {name: of[label] for label, name in configurations.items() if label in of}
+    flown[rule] = recorded["rule"]
     firsts = {
         name: {one["layout"]: one for one in episodes if one["seed"] == episodes[0]["seed"]}
         for name, episodes in flown.items()
@@ -249,9 +229,8 @@ def paths(together: dict[str, Any], steps: int) -> dict[str, Array]:
 
 def _poses(episode: dict[str, Any]) -> dict[str, Any]:
     """A packed episode without its choices, whose bytes are the last."""
-    size = sum(
-        np.dtype(one.type).itemsize * COLUMNS.get(name, 1) for name, one in FIELDS.items() if not one.chosen
-    )
+    kept = {name: np.dtype(one.type).itemsize for name, one in FIELDS.items() if not one.chosen}
+    size = sum(each * COLUMNS.get(name, 1) for name, each in kept.items())
     content = zlib.decompress(base64.b64decode(episode["bytes"]))[: size * (episode["steps"] + 1)]
     return episode | {"bytes": base64.b64encode(zlib.compress(content, 9)).decode()}
 
@@ -285,8 +264,7 @@ def _layouts(task: WrappedTask, sets: str = "test") -> Tensor:
 
 
 def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any]:
-    """Where episodes were recorded, if not in the paper's task as it is: `place`, what the player draws and
-    calls it.
+    """Where episodes were recorded, if not in the paper's task as it is: `place`, what the player draws.
 
     sets: the split, which may be a rung's such as `slalom-80/test`.
     """
@@ -306,10 +284,7 @@ def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any
     if isinstance(task.world, SpaceWorld):
         parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
         # yaw, pitch [degrees], px
-        constants |= {
-            "fields": _told(IN_3D),
-            "actions": torch.stack(parts, -1).tolist(),
-        }
+        constants |= {"fields": _told(IN_3D), "actions": torch.stack(parts, -1).tolist()}
     return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
 
 
@@ -334,10 +309,9 @@ class Episode(NamedTuple):
 
 
 def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[Episode]]:
-    """The shown episodes of each trained policy, on layouts [L, K, 3] px: those that an evaluation counts.
+    """The shown episodes of each policy, on layouts [L, K, 3] px or as many of its own world's.
 
-    All layouts of the split are flown, as an evaluation flies them: sampled actions of one episode follow
-    others. In another world, policies fly as many layouts of its own test split.
+    All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others.
     """
     found: list[list[Episode]] = [[] for _ in flyers]
     policies = [flyer.policy for flyer in flyers if isinstance(flyer.policy, Policy)]
@@ -391,9 +365,7 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[E
 
 
 def _slots(task: WrappedTask, observation: Tensor) -> Tensor:
-    """The slots [F, 10, 3], in 3D [F, 10, 4], of observations [F, n], without velocities; of a stack the
-    newest's.
-    """
+    """The slots [F, 10, 3], in 3D [F, 10, 4], of observations [F, n], no velocities; a stack's newest."""
     world = task.world
     slots = observation[:, : world.n_slots * len(world.slot_low)].reshape(len(observation), world.n_slots, -1)
     return slots[..., : 4 if isinstance(world, SpaceWorld) else 3]

@@ -1,8 +1,4 @@
-"""The help of each algorithm, as `uavnav train ALGORITHM --help` shows it.
-
-`python -m uavnav.cli.help` writes it into this folder for each algorithm of the package, where it is found
-without torch.
-"""
+"""The help of each algorithm, which `python -m uavnav.cli.help` writes here, to be found without torch."""
 
 from pathlib import Path
 

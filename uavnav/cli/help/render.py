@@ -47,9 +47,7 @@ Flags:
 
 
 def render(kind: type[TrainConfig], world: type[World], command: type[Settings]) -> str:
-    """The help of an algorithm, from the classes of its configuration, of its `World` and of the command's
-    own keys.
-    """
+    """The help of an algorithm, from its configuration's class, its `World`'s and the command's own keys."""
     width = max(len(one) for one in kind.PRESETS)
     presets = {
         name: " ".join(f"{key}={shown(value)}" for key, value in given.items())

@@ -28,9 +28,7 @@ class Engine(Protocol):
     """Starts jobs. Building one raises a ConfigError where it cannot be used here."""
 
     SEEDS_PER_WORKER: int | None
-    """How many seeds a worker trains, unless it is given; None: as one machine spreads them over its
-    cores.
-    """
+    """How many seeds a worker trains; None: as one machine spreads them over its cores."""
 
     def slots(self) -> int:
         """How many jobs it runs at once, at this moment."""
@@ -42,9 +40,7 @@ class Engine(Protocol):
         """Start command lines, and return what stands for each."""
 
     def ended(self, job: Any) -> bool:
-        """Whether a job is known to have ended, or to have died with its machine; false is no proof that
-        it lives.
-        """
+        """Whether a job is known to have ended or died; false is no proof that it lives."""
 
     def queued(self, job: Any) -> bool:
         """Whether the engine explains that a job has not begun, however long that lasts."""
@@ -71,9 +67,7 @@ def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) 
 def described(
     name: str, settings: Mapping[str, Any], others: Collection[str] = ()
 ) -> tuple[Any, dict[str, Any]]:
-    """The class of an engine and its settings, checked; arguments and errors are as of `build`, which
-    needs more.
-    """
+    """The class of an engine and its settings, checked as `build` does."""
     if name not in ENGINES:
         raise unknown("engine", name, ENGINES)
     kind = getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), ENGINES[name])
@@ -86,8 +80,7 @@ def described(
 
 
 class Probe:
-    """A folder of a new name in the folder of a study: a machine that sees it copies a file in it, under its
-    own name.
+    """A new folder in that of a study: a machine that sees it copies a file in it, under its own name.
 
     So a folder of the same path on the machine's own disk, or one that it may not write to, does not pass.
     """

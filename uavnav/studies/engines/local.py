@@ -17,10 +17,7 @@ from uavnav.training import machine, workers
 
 @dataclass
 class Local:
-    """The cores of this machine.
-
-    jobs: at once; by default one a core.
-    """
+    """The cores of this machine; jobs: at once, by default one a core."""
 
     SEEDS_PER_WORKER: ClassVar[int | None] = None
 

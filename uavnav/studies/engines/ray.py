@@ -1,5 +1,4 @@
-"""Jobs on a Ray cluster: each is one call of `subprocess.call` on one CPU, so that nothing of ours is
-pickled.
+"""Jobs on a Ray cluster: each is one call of `subprocess.call` on one CPU; nothing of ours is pickled.
 
 Each job is given to one machine, so that it is known to have died where Ray says that the machine has. Ray
 itself may never tell the end of a job whose machine is gone.
@@ -66,9 +65,7 @@ class Ray:
     def _machines(self) -> dict[str, int]:
         """The CPUs of each machine that lives; some of these may not answer any more, and get no further job.
 
-        Raises:
-            ConfigError: the head of the cluster is gone, for which Ray itself would wait, and then end this
-                process.
+        Raises a ConfigError where the head of the cluster is gone, for which Ray itself would wait.
         """
         if time.monotonic() - self._seen < LOOK_SECONDS:
             return dict(self._living)
@@ -186,9 +183,7 @@ def _answers(address: str) -> bool:
 
 
 def _knock(address: str) -> None:
-    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute and then end the
-    process.
-    """
+    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host, int(port)), KNOCK_SECONDS).close()

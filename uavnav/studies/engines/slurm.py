@@ -1,6 +1,4 @@
-"""Jobs on a SLURM cluster, through submitit: each is a command line, and those given together are one job
-array.
-"""
+"""Jobs on a SLURM cluster, through submitit: those given together are one job array."""
 
 from __future__ import annotations
 

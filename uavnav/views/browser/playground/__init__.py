@@ -110,11 +110,7 @@ def usual() -> list[str]:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """The runs in and below a folder that have policies, the newest `MOST`.
-
-    Raises:
-        RunError: it contains no run.
-    """
+    """The runs in and below a folder that have policies, the newest `MOST`; raises a RunError without any."""
     found = [path for path in run_folders(folder)[0] if (path / POLICY).exists()]
     newest = sorted(found, key=lambda path: (path / POLICY).stat().st_mtime, reverse=True)[:MOST]
     return [path for path in found if path in newest]
@@ -344,9 +340,7 @@ def _rows(layouts: Tensor) -> dict[str, Any]:
 
 
 def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
-    """The scene of a page that is opened without a link: you, and who was named; else two runs and the
-    scripted policy.
-    """
+    """The scene of a page opened without a link: you and who was named, or two runs and the script."""
     named = [one for one in flyers.policies if one["key"] in flyers.named]
     first = min(named, key=lambda one: flyers.named.index(one["key"]), default=None)
     tasks = [one["task"] for one in ([first] if first else flyers.policies)]

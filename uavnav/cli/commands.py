@@ -144,7 +144,7 @@ def overview() -> str:
 
 # -- train ---------------------------------------------------------------------------------------------------
 
-USUAL = {"preset": "vectorised", "activation": "tanh"}
+USUAL = {"preset": "paper", "activation": "tanh"}
 """What names the default folder of a run, where it is not given."""
 
 
@@ -253,7 +253,7 @@ def _algorithms() -> str:
 
 def _evaluate(parser: Parser) -> None:
     """Evaluate runs, scripted policies or zips of Stable-Baselines3 on the test split: a row per episode."""
-    parser.epilog = "example: uavnav evaluate runs/ppo-vectorised/relu reactive --episodes 200"
+    parser.epilog = "example: uavnav evaluate runs/ppo-paper/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"layouts (default: {EPISODES})")
     told = (
@@ -302,7 +302,7 @@ def _runs(parser: Parser) -> None:
 
 def _play(parser: Parser) -> None:
     """Watch runs fly in the browser, or fly yourself: writes the playground and opens it."""
-    parser.epilog = "example: uavnav play runs/ppo-vectorised/relu reactive --layout 20"
+    parser.epilog = "example: uavnav play runs/ppo-paper/relu reactive --layout 20"
     usual = "(default: runs if it has any, else the policies that ship)"
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"a folder of runs, {RUN} {usual}")
     _episode(parser)
@@ -330,7 +330,7 @@ _PAGE = "the page (default: runs/playground.html where runs is there, else {})"
 
 def _render(parser: Parser) -> None:
     """Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    parser.epilog = "example: uavnav render runs/ppo-vectorised/relu reactive --out flight.gif"
+    parser.epilog = "example: uavnav render runs/ppo-paper/relu reactive --out flight.gif"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument(
         "--out",
@@ -398,7 +398,7 @@ def _report(parser: Parser) -> None:
 
 def _verify(parser: Parser) -> None:
     """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
-    parser.epilog = "example: uavnav verify runs/ppo-vectorised/relu --frames 20000"
+    parser.epilog = "example: uavnav verify runs/ppo-paper/relu --frames 20000"
     parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
     parser.add_argument("--frames", type=whole, help="repeat only the first so many frames per seed")
     _plugins(parser)
@@ -418,7 +418,7 @@ def _bench(parser: Parser) -> None:
 
 def _export(parser: Parser) -> None:
     """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    parser.epilog = "example: uavnav export runs/ppo-vectorised/relu --out policy.onnx"
+    parser.epilog = "example: uavnav export runs/ppo-paper/relu --out policy.onnx"
     parser.add_argument(
         "run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3"
     )

@@ -145,8 +145,8 @@ def test_one_million_frames_are_run_in_whole_iterations():
 
 
 NETWORK = {"hidden": (64, 64), "total_frames": 10**6, "gamma": 0.99}
-ON_POLICY = NETWORK | {"init": "orthogonal", "n_envs": 16, "critic_coeff": 0.5, "entropy_coeff": 0.0}
-OFF_POLICY = NETWORK | {"init": "default", "n_envs": 64, "buffer_size": 10**6, "frames_per_update": 4}
+ON_POLICY = NETWORK | {"init": "orthogonal", "n_envs": 1, "critic_coeff": 0.5, "entropy_coeff": 0.0}
+OFF_POLICY = NETWORK | {"init": "default", "n_envs": 1, "buffer_size": 10**6, "frames_per_update": 4}
 OF_DQN = OFF_POLICY | {"batch_size": 32, "target_update_frames": 10_000}
 PUBLISHED = {
     "SB3's PPO": (
@@ -158,7 +158,7 @@ PUBLISHED = {
     "SB3's A2C": (
         A2CConfig,
         ON_POLICY | {"lr": 7e-4, "rms_eps": 1e-5, "n_steps": 5, "gae_lambda": 1.0, "max_grad_norm": 0.5},
-        {"iterations": 12_500},
+        {"iterations": 200_000},
     ),
     "SB3's DQN": (
         DQNConfig,
@@ -177,7 +177,7 @@ PUBLISHED = {
         {"target_entropy": 0.89, "tau": 0.005, "max_grad_norm": None},
     ),
 }
-"""The numbers of the presets `paper` and `vectorised`, which differ in environments only."""
+"""The numbers of the preset `paper`."""
 
 
 @pytest.mark.parametrize(("kind", "numbers", "more"), PUBLISHED.values(), ids=PUBLISHED)

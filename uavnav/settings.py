@@ -193,7 +193,8 @@ def lines(kind: type[Settings], prefix: str = "") -> list[Line]:
     """What is said of each key, with the default preset's values; one that says nothing means what it
     meant in the class before.
     """
-    found, presets = [], getattr(kind, "PRESETS", {})
+    found: list[Line] = []
+    presets: Mapping[str, Any] = getattr(kind, "PRESETS", {})
     usual = presets.get(kind.model_fields["preset"].default, {}) if presets else {}
     for name, field in kind.model_fields.items():
         before = (one.model_fields.get(name, field) for one in kind.__mro__ if issubclass(one, Settings))

@@ -50,7 +50,8 @@ def preset_table(kinds: Configs) -> str:
     rows = ["| preset | of | sets |", "|---|---|---|"]
     sets: dict[tuple[str, str], list[str]] = {}
     for name, kind in kinds.items():
-        for preset, given in kind.PRESETS.items():
+        for preset in kind.PRESETS:
+            given = kind.beyond_default(preset)
             if given and preset != "fast":
                 words = ", ".join(f"`{key}={shown(value)}`" for key, value in given.items())
                 sets.setdefault((preset, words), []).append(name.upper())
@@ -62,8 +63,8 @@ def _cell(default: str | None, kind: type[TrainConfig], key: str) -> str:
     """A default, and what the preset `fast` sets instead."""
     if default is None:
         return ""
-    fast = shown(kind.PRESETS.get("fast", {}).get(key, kind.model_fields[key].default))
-    return default if fast == default else f"{default}→{fast}"
+    fast = kind.beyond_default("fast")
+    return f"{default}→{shown(fast[key])}" if key in fast else default
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 to change.
 
     python recipes/ppo.py activation=relu
-    python recipes/ppo.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu
+    python recipes/ppo.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu
     out=runs/mine python recipes/ppo.py -m activation=relu,leaky_relu,tanh,sigmoid
 
 `python recipes/ppo.py --help` says what each key means. All seeds learn side by side in this process, where

@@ -1,7 +1,7 @@
 """Train SAC to fly the drone and compare it with the paper: the same as `uavnav train sac`.
 
     python recipes/sac.py activation=tanh
-    python recipes/sac.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu
+    python recipes/sac.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu
     out=runs/mine python recipes/sac.py -m activation=sigmoid,leaky_relu
 
 `python recipes/sac.py --help` says what each key means.

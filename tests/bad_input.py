@@ -305,6 +305,7 @@ def snapshots(spoil):
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 PPO = {
+    "n_envs": 16,
     "total_frames": 64,
     "frames_per_batch": 64,
     "minibatch_size": 32,
@@ -314,7 +315,7 @@ PPO = {
     "compile": "off",
 }
 DRONE = "uavnav/Drone-v0"
-DQN = {"total_frames": 256, "learning_starts": 32, "hidden": [8], "compile": "off"}
+DQN = {"n_envs": 64, "total_frames": 256, "learning_starts": 32, "hidden": [8], "compile": "off"}
 
 
 class Case(NamedTuple):

@@ -128,7 +128,7 @@ def test_20_updates_of_2_agents_are_those_of_torchs_rmsprop_on_the_loss_by_hand(
 
 
 def test_a_row_of_progress_comes_with_the_first_rollout_past_each_2_000_frames_and_with_the_last(tmp_path):
-    config = A2CConfig(total_frames=4_800, n_seeds=2, hidden=(8,), compile="off")
+    config = A2CConfig(n_envs=16, total_frames=4_800, n_seeds=2, hidden=(8,), compile="off")
     progress = train(config, out=tmp_path / "run", quiet=True).progress
     assert progress.frame.tolist() == [2_000, 2_000, 4_000, 4_000, 4_800, 4_800]
     assert progress.seed.tolist() == [0, 1] * 3

@@ -133,7 +133,7 @@ def test_no_number_of_a_table_is_cut_off_whatever_the_width_of_the_terminal(colu
 
 def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_refused(tmp_path):
     config = ppo.PPOConfig(
-        task="space", hidden=(4,), total_frames=64, frames_per_batch=64, epochs=1, compile="off"
+        task="space", n_envs=16, hidden=(4,), total_frames=64, frames_per_batch=64, epochs=1, compile="off"
     )
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     told = []

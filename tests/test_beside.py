@@ -133,8 +133,18 @@ def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, messa
 @pytest.mark.parametrize(
     ("train", "config"),
     [
-        (ppo.train, ppo.PPOConfig(n_seeds=2, total_frames=512, frames_per_batch=512, compile="off")),
-        (dqn.train, dqn.DQNConfig(n_seeds=2, total_frames=512, learning_starts=64, compile="off")),
+        (
+            ppo.train,
+            ppo.PPOConfig(
+                preset="vectorised", n_seeds=2, total_frames=512, frames_per_batch=512, compile="off"
+            ),
+        ),
+        (
+            dqn.train,
+            dqn.DQNConfig(
+                preset="vectorised", n_seeds=2, total_frames=512, learning_starts=64, compile="off"
+            ),
+        ),
     ],
     ids=["ppo", "dqn"],
 )

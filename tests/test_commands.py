@@ -179,6 +179,7 @@ def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name)
     assert set(given) <= set(found)
     assert all(re.search(r"=\S+ {2,}\S", line) for line in found.values())
     assert found["gamma"].split() == ["gamma=0.99", "discount", "of", "a", "step;", "0", "to", "1"]
+    assert found["n_envs"].startswith("  n_envs=1 ")  # of the default preset
     assert found["total_frames"].startswith("  total_frames=1000000 ")
     assert "[frames per seed] " in found["total_frames"]
     assert re.search(r"=180\.0 +\[degrees\] of the sensor", found["world.sensor_arc"])

@@ -90,7 +90,7 @@ def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
         (PPOConfig, {"minibatch_size": 100}, "minibatch_size=100; give a divisor of frames_per_batch=2048"),
         (PPOConfig, {"batch_size": 3}, "there is no key 'batch_size'"),
         (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
-        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give more than n_envs=64"),
+        (DQNConfig, {"buffer_size": 8, "n_envs": 64}, "buffer_size=8; give more than n_envs=64"),
         (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
         (A2CConfig, {"minibatch_size": 64}, "there is no key 'minibatch_size'"),
         (SACConfig, {"tau": 1.1}, "tau=1.1; give a number of at least 0 and at most 1"),
@@ -140,13 +140,13 @@ def test_a_configuration_is_the_same_again_from_its_plain_settings_world_include
 
 def test_one_million_frames_are_run_in_whole_iterations():
     assert (PPOConfig().iterations, PPOConfig().frames) == (489, 1_001_472)
-    assert (DQNConfig().iterations, DQNConfig().frames) == (15_625, 1_000_000)
-    assert (A2CConfig().iterations, A2CConfig().frames) == (12_500, 1_000_000)
+    assert (DQNConfig().iterations, DQNConfig().frames) == (250_000, 1_000_000)
+    assert (A2CConfig().iterations, A2CConfig().frames) == (200_000, 1_000_000)
 
 
 NETWORK = {"hidden": (64, 64), "total_frames": 10**6, "gamma": 0.99}
-ON_POLICY = NETWORK | {"init": "orthogonal", "n_envs": 16, "critic_coeff": 0.5, "entropy_coeff": 0.0}
-OFF_POLICY = NETWORK | {"init": "default", "n_envs": 64, "buffer_size": 10**6, "frames_per_update": 4}
+ON_POLICY = NETWORK | {"init": "orthogonal", "n_envs": 1, "critic_coeff": 0.5, "entropy_coeff": 0.0}
+OFF_POLICY = NETWORK | {"init": "default", "n_envs": 1, "buffer_size": 10**6, "frames_per_update": 4}
 OF_DQN = OFF_POLICY | {"batch_size": 32, "target_update_frames": 10_000}
 PUBLISHED = {
     "SB3's PPO": (
@@ -158,7 +158,7 @@ PUBLISHED = {
     "SB3's A2C": (
         A2CConfig,
         ON_POLICY | {"lr": 7e-4, "rms_eps": 1e-5, "n_steps": 5, "gae_lambda": 1.0, "max_grad_norm": 0.5},
-        {"iterations": 12_500},
+        {"iterations": 200_000},
     ),
     "SB3's DQN": (
         DQNConfig,
@@ -177,7 +177,7 @@ PUBLISHED = {
         {"target_entropy": 0.89, "tau": 0.005, "max_grad_norm": None},
     ),
 }
-"""The numbers of the preset `vectorised`."""
+"""The numbers of the preset `paper`."""
 
 
 @pytest.mark.parametrize(("kind", "numbers", "more"), PUBLISHED.values(), ids=PUBLISHED)
@@ -306,11 +306,11 @@ MANY = {PPOConfig: 16, A2CConfig: 16, DQNConfig: 64, C51Config: 64, SACConfig: 6
 
 
 @pytest.mark.parametrize(("kind", "many"), MANY.items())
-def test_the_default_preset_is_vectorised_and_the_papers_has_one_environment(kind, many):
-    assert (kind().preset, kind().n_envs) == ("vectorised", many)
-    assert kind(preset="paper") == kind(n_envs=1).replace(preset="paper")
-    assert kind().folder == Path("runs") / f"{kind.algorithm}-vectorised" / "tanh"
-    assert runs.Config.model_fields["preset"].default == "vectorised"  # of a config.yaml that names none
+def test_the_default_preset_is_the_papers_with_one_environment_and_vectorised_has_many(kind, many):
+    assert (kind().preset, kind().n_envs) == ("paper", 1)
+    assert kind(preset="vectorised") == kind(n_envs=many).replace(preset="vectorised")
+    assert kind().folder == Path("runs") / f"{kind.algorithm}-paper" / "tanh"
+    assert runs.Config.model_fields["preset"].default == "paper"  # of a config.yaml that names none
 
 
 def test_a_folder_of_digits_keeps_its_name():

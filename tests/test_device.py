@@ -12,10 +12,10 @@ from uavnav.tasks.table import make_task
 from uavnav.training import probes
 
 ALGORITHMS = {
-    "ppo": ppo.PPOConfig(n_seeds=2),
-    "dqn": dqn.DQNConfig(n_seeds=2),
-    "a2c": a2c.A2CConfig(n_seeds=2),
-    "sac": sac.SACConfig(n_seeds=2),
+    "ppo": ppo.PPOConfig(preset="vectorised", n_seeds=2),
+    "dqn": dqn.DQNConfig(preset="vectorised", n_seeds=2),
+    "a2c": a2c.A2CConfig(preset="vectorised", n_seeds=2),
+    "sac": sac.SACConfig(preset="vectorised", n_seeds=2),
 }
 
 
@@ -95,7 +95,7 @@ def unspecified(monkeypatch):
 
 def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
     """What an iteration does but for the recorder, which takes numbers to the CPU."""
-    config = ppo.PPOConfig(n_seeds=2, frames_per_batch=128, minibatch_size=64, epochs=1)
+    config = ppo.PPOConfig(preset="vectorised", n_seeds=2, frames_per_batch=128, minibatch_size=64, epochs=1)
     env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     policy, value = ppo.make_networks(config)
     loss = ppo.PPOLoss(policy, value, config).to("meta")
@@ -111,7 +111,7 @@ def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
 
 
 def test_two_iterations_of_a2c_collect_and_learn_on_one_device(unspecified):
-    config = a2c.A2CConfig(n_seeds=2)
+    config = a2c.A2CConfig(preset="vectorised", n_seeds=2)
     object.__setattr__(config, "device", "meta")  # as a configuration it is refused, for it has no numbers
     env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     trainee = config.make(compile=False)
@@ -128,7 +128,7 @@ def test_two_iterations_of_a2c_collect_and_learn_on_one_device(unspecified):
 
 
 def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
-    config = dqn.DQNConfig(n_seeds=2)
+    config = dqn.DQNConfig(preset="vectorised", n_seeds=2)
     env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     network = dqn.make_network(config).to("meta")
     actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)

@@ -231,8 +231,8 @@ def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
 
 
 def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
-    assert DQNConfig().updates_per_step == 16
-    assert DQNConfig().iterations * 16 == 250_000
+    assert DQNConfig(n_envs=64).updates_per_step == 16
+    assert DQNConfig(n_envs=64).iterations * 16 == 250_000
     assert DQNConfig(n_envs=16).updates_per_step == 4
     assert DQNConfig(n_envs=1).updates_per_step == 1
     assert DQNConfig(n_envs=1).steps_between_updates == 4
@@ -251,7 +251,13 @@ def test_random_start_headings_of_a_run_differ_and_follow_its_seed(tmp_path, mon
         add(self, state, frame)
 
     monkeypatch.setattr(Recorder, "add_open_episodes", watch_state)
-    settings = {"total_frames": 32, "max_steps": 1, "world": {"start_heading": "random"}, "compile": "off"}
+    settings = {
+        "total_frames": 32,
+        "n_envs": 64,
+        "max_steps": 1,
+        "world": {"start_heading": "random"},
+        "compile": "off",
+    }
     for index, seed in enumerate((0, 0, 1)):
         train(DQNConfig(seed=seed, **settings), out=tmp_path / str(index), quiet=True)
     assert headings[0] == headings[1] != headings[2]

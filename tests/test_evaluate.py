@@ -36,9 +36,16 @@ fly_command = functools.partial(commands.run, "evaluate")
 RUNS = {
     "ppo": (
         ppo.train,
-        ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"),
+        ppo.PPOConfig(
+            preset="vectorised", n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"
+        ),
     ),
-    "dqn": (dqn.train, dqn.DQNConfig(n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off")),
+    "dqn": (
+        dqn.train,
+        dqn.DQNConfig(
+            preset="vectorised", n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"
+        ),
+    ),
 }
 
 
@@ -306,7 +313,7 @@ def test_a_function_of_one_or_two_arguments_may_give_an_array_a_list_or_a_tensor
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    config = ppo.PPOConfig(total_frames=64, frames_per_batch=64, hidden=[8], compile="off")
+    config = ppo.PPOConfig(n_envs=16, total_frames=64, frames_per_batch=64, hidden=[8], compile="off")
     return ppo.train(config, out=tmp_path_factory.mktemp("protocols") / "run", quiet=True)
 
 
@@ -378,6 +385,7 @@ def test_the_command_says_in_which_file_the_rows_of_a_protocol_are(small, tmp_pa
 
 def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained_in(tmp_path):
     config = ppo.PPOConfig(
+        n_envs=16,
         total_frames=64,
         frames_per_batch=64,
         hidden=[8],

@@ -29,7 +29,7 @@ from uavnav.tasks.world import World
 pytestmark = pytest.mark.slow  # exporters take seconds a policy: not in the quick suite
 
 CLOSE = 1e-5
-SHORT = {"n_seeds": 2, "seed": 4, "total_frames": 512, "compile": "off"}
+SHORT = {"preset": "vectorised", "n_seeds": 2, "seed": 4, "total_frames": 512, "compile": "off"}
 
 
 @pytest.fixture(scope="module", params=["ppo", "dqn"])

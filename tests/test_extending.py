@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 RUN = "runs/mine"
 FEWER = {
-    "train": ["total_frames=20480", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
+    "train": ["n_envs=16", "total_frames=20480", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
     "evaluate": ["--episodes", "3", "--max-steps", "50"],
     "render": ["--steps", "20"],
     "verify": ["--frames", "4096"],

@@ -54,9 +54,9 @@ def test_where_no_terminal_shows_a_run_it_says_after_five_seconds_of_learning_ho
 def test_a_run_says_what_it_does_how_and_from_where_it_goes_on():
     facts = {"compiled": True, "processes": 2, "threads": 1}
     config = PPOConfig(n_seeds=10, seed=5)
-    assert [*display.opening(config, 1_001_472, Path("runs/ppo-vectorised/tanh"), facts, 81_920)] == [
-        "ppo tanh, preset vectorised: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel environments,"
-        " into runs/ppo-vectorised/tanh",
+    assert [*display.opening(config, 1_001_472, Path("runs/ppo-paper/tanh"), facts, 81_920)] == [
+        "ppo tanh, preset paper: 10 seeds (5 to 14), 1,001,472 frames each in 1 parallel environment,"
+        " into runs/ppo-paper/tanh",
         "2 processes of 1 thread, compiled, which takes a while the first time",
         "resumed at 81,920 of 1,001,472",
     ]
@@ -68,8 +68,8 @@ def test_a_run_says_what_it_does_how_and_from_where_it_goes_on():
     [
         (DQNConfig, {}, 50_000),
         (SACConfig, {}, 20_000),
-        (DQNConfig, {"learning_starts": 0, "n_steps": 5}, 320),
-        (C51Config, {"preset": "paper"}, 50_000),
+        (DQNConfig, {"learning_starts": 0, "n_steps": 5, "n_envs": 64}, 320),
+        (C51Config, {"preset": "vectorised"}, 50_000),
     ],
 )
 def test_a_run_that_ends_before_its_first_update_says_so(kind, given, before, tmp_path):
@@ -96,7 +96,7 @@ def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tm
     else:
         first, second = out.splitlines()[:2]
         assert first == (
-            "ppo tanh, preset vectorised: 2 seeds (0 to 1), 512 frames each in 4 parallel environments, into "
+            "ppo tanh, preset paper: 2 seeds (0 to 1), 512 frames each in 4 parallel environments, into "
             + str(tmp_path / "run")
         )
         assert second == f"{processes} process{'es' if processes > 1 else ''} of 1 thread, not compiled"
@@ -122,7 +122,7 @@ for words in json.loads(sys.argv[2]):
 
 @pytest.mark.slow
 def test_no_command_lets_a_dependency_talk(tmp_path):
-    short = ["compile=off", "total_frames=4096", "evaluate=false"]
+    short = ["preset=vectorised", "compile=off", "total_frames=4096", "evaluate=false"]
     small = ["--episodes", 5, "--max-steps", 50]
     recipes = [
         [RECIPES / "ppo.py", *short, "epochs=2", "out=runs/ppo"],

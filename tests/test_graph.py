@@ -21,7 +21,8 @@ COMMAND = """
 from uavnav.algorithms.ppo import PPOConfig, train
 from uavnav.training import machine
 machine.PAYS_FROM = 1
-config = PPOConfig(n_seeds={n_seeds}, total_frames=256, frames_per_batch=256, epochs=1, compile={compile!r})
+config = PPOConfig(
+    n_envs=16, n_seeds={n_seeds}, total_frames=256, frames_per_batch=256, epochs=1, compile={compile!r})
 print(train(config, {out!r}, quiet=True, processes={n_seeds}).meta["compiled"])
 """
 NO_HEADER = """#!/bin/sh

@@ -29,6 +29,7 @@ from uavnav.training.loop import train
 from uavnav.training.recorder import Recorder
 
 CONFIG = PPOConfig(
+    n_envs=16,
     n_seeds=2,
     total_frames=2_048,
     frames_per_batch=256,

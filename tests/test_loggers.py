@@ -32,6 +32,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm_module")]  # many 
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {
+    "preset": "vectorised",
     "total_frames": 1536,
     "frames_per_batch": 256,
     "epochs": 1,
@@ -263,7 +264,7 @@ def test_a_run_begun_anew_takes_the_old_logs_away(logged, tmp_path):
 
 def test_dqn_logs_its_losses_from_where_they_begin(tmp_path):
     config = dqn.DQNConfig(
-        total_frames=15_000, learning_starts=6_000, frames_per_update=64, hidden=[8], compile="off"
+        n_envs=64, total_frames=15_000, learning_starts=6_000, frames_per_update=64, hidden=[8], compile="off"
     )
     run = dqn.train(config, tmp_path / "run", quiet=True, logger="tensorboard")
     assert_logged(run, scalars)

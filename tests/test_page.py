@@ -42,7 +42,7 @@ RESULTS = Path(__file__).parent.parent / "results"
 SHOWN = {name: title for name, title in SECTIONS.items() if name not in ("algorithms", "worlds")}
 """Sections of a report without further studies."""
 
-SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
+SMALL = {"preset": "vectorised", "total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
 
 
 def make_page(folder):

@@ -242,9 +242,9 @@ def test_the_table_of_the_decisions_is_the_modules_row_by_row():
 def test_the_glossarys_presets_are_those_of_every_algorithm_with_a_study():
     rows = table(ALL["docs/glossary.md"], "| name | preset | study |")
     named = {code(row[0])[0]: row for row in rows}
-    assert [name for name, row in named.items() if row[1].endswith("the default")] == ["vectorised"]
+    assert [name for name, row in named.items() if row[1].endswith("the default")] == ["paper"]
     for kind in CONFIGS.values():
         assert {"paper", "vectorised"} <= {*kind.PRESETS} & {*named}
-        assert kind.model_fields["preset"].default == "vectorised"
+        assert kind.model_fields["preset"].default == "paper"
         assert (kind(preset="paper").n_envs, kind(preset="vectorised").n_envs in (16, 64)) == (1, True)
     assert {"paper", "vectorised", "tuned"} <= {*studies.names()}

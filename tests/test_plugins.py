@@ -30,7 +30,14 @@ pytestmark = pytest.mark.usefixtures("warm_module")
 ROOT = Path(uavnav.__file__).parent.parent
 RUN = "runs/reinforce/hardswish"
 PARTS = {"activation": "hardswish", "reward": "roomy", "task": "narrow"}
-SHORT = {"n_seeds": 2, "total_frames": 1024, "frames_per_batch": 512, "hidden": [8], "compile": "off"}
+SHORT = {
+    "n_seeds": 2,
+    "n_envs": 16,
+    "total_frames": 1024,
+    "frames_per_batch": 512,
+    "hidden": [8],
+    "compile": "off",
+}
 WORDS = [f"{key}={value}".replace(" ", "") for key, value in (PARTS | SHORT).items()]
 
 
@@ -51,7 +58,7 @@ def folder(tmp_path_factory):
     (folder / "my_study.py").write_text(code)
     words = ["reinforce", "plugins=my_study", *WORDS, "evaluate=false", f"out={RUN}"]
     said = python(folder, "-m", "uavnav", "train", *words)
-    assert "reinforce hardswish, preset vectorised: 2 seeds (0 to 1), 1,024 frames each" in said
+    assert "reinforce hardswish, preset paper: 2 seeds (0 to 1), 1,024 frames each" in said
     return folder
 
 
@@ -84,7 +91,7 @@ from uavnav.training.loop import train
 
 uavnav.plugins.load("my_study")
 import my_study
-how = dict(n_seeds=2, total_frames=1024, frames_per_batch=512, hidden=[8], compile="off",
+how = dict(n_seeds=2, n_envs=16, total_frames=1024, frames_per_batch=512, hidden=[8], compile="off",
     activation="hardswish", reward="roomy", task="narrow")
 for name, config in ("ppo", uavnav.ppo.PPOConfig(epochs=1, **how)), ("reinforce", my_study.Config(**how)):
     for n in (1, 2):

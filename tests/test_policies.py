@@ -24,12 +24,16 @@ def run(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("policies") / request.param
     if request.param == "ppo":
         return ppo.train(
-            ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"),
+            ppo.PPOConfig(
+                preset="vectorised", n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"
+            ),
             folder,
             quiet=True,
         )
     return dqn.train(
-        dqn.DQNConfig(n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"),
+        dqn.DQNConfig(
+            preset="vectorised", n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"
+        ),
         folder,
         quiet=True,
     )
@@ -114,6 +118,7 @@ def test_a_committed_run_with_random_headings_comes_back_with_that_world():
 
 def test_a_policy_comes_back_with_the_world_reward_and_cap_that_it_was_trained_in(tmp_path):
     config = dqn.DQNConfig(
+        n_envs=64,
         total_frames=256,
         learning_starts=64,
         world={"sensor_arc": 90},

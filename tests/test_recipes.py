@@ -67,7 +67,7 @@ def process(folder, name, *arguments):
 def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, tmp_path, algorithm):
     status, out, err = recipe(algorithm, "activation=relu", "n_seeds=2", *SHORT[algorithm])
     assert (status, err) == (0, "")
-    (folder,) = (tmp_path / "runs" / f"{algorithm}-vectorised").iterdir()
+    (folder,) = (tmp_path / "runs" / f"{algorithm}-paper").iterdir()
     assert folder.name.startswith("relu-")
     run = Run(folder)
     assert run.config["n_seeds"] == 2
@@ -174,7 +174,7 @@ def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
     status, _, err = recipe("ppo", "-m", "activation=relu,tanh", "seed=3", *SHORT["ppo"])
     assert (status, err) == (0, "")
     for activation in ("relu", "tanh"):
-        (folder,) = (tmp_path / "runs" / "ppo-vectorised").glob(f"{activation}-*")
+        (folder,) = (tmp_path / "runs" / "ppo-paper").glob(f"{activation}-*")
         run = Run(folder)
         assert run.config["activation"] == activation
         assert set(run.episodes.seed) == {3}

@@ -31,12 +31,19 @@ ALGORITHMS = {
     "ppo": (
         ppo.train,
         ppo.PPOConfig(
-            n_seeds=2, total_frames=3072, frames_per_batch=512, minibatch_size=128, epochs=2, compile="off"
+            n_envs=16,
+            n_seeds=2,
+            total_frames=3072,
+            frames_per_batch=512,
+            minibatch_size=128,
+            epochs=2,
+            compile="off",
         ),
     ),
     "dqn": (
         dqn.train,
         dqn.DQNConfig(
+            n_envs=64,
             n_seeds=2,
             total_frames=2048,
             learning_starts=256,
@@ -49,6 +56,7 @@ ALGORITHMS = {
     "dqn, a small ring": (
         dqn.train,
         dqn.DQNConfig(
+            n_envs=64,
             n_seeds=2,
             total_frames=2048,
             learning_starts=64,
@@ -448,7 +456,9 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
 
 
 def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypatch):
-    config = ppo.PPOConfig(n_seeds=4, total_frames=512, frames_per_batch=256, epochs=1, compile="off")
+    config = ppo.PPOConfig(
+        n_envs=16, n_seeds=4, total_frames=512, frames_per_batch=256, epochs=1, compile="off"
+    )
     monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 2)
     with pytest.raises(Interrupted):
         ppo.train(config, out=tmp_path / "run", quiet=True, until=256)

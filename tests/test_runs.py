@@ -23,13 +23,25 @@ from uavnav.training.recorder import Interrupted
 ALGORITHMS = {
     "ppo": (
         ppo.train,
-        ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off"),
+        ppo.PPOConfig(
+            preset="vectorised", total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off"
+        ),
     ),
     "dqn": (
         dqn.train,
-        dqn.DQNConfig(total_frames=1024, learning_starts=256, frames_per_update=16, n_seeds=2, compile="off"),
+        dqn.DQNConfig(
+            preset="vectorised",
+            total_frames=1024,
+            learning_starts=256,
+            frames_per_update=16,
+            n_seeds=2,
+            compile="off",
+        ),
     ),
-    "a2c": (a2c.train, a2c.A2CConfig(total_frames=1024, n_steps=4, n_seeds=2, compile="off")),
+    "a2c": (
+        a2c.train,
+        a2c.A2CConfig(preset="vectorised", total_frames=1024, n_steps=4, n_seeds=2, compile="off"),
+    ),
 }
 
 
@@ -253,7 +265,7 @@ def test_an_interrupted_run_says_so_and_can_be_run_again(tmp_path, monkeypatch):
 
 
 def test_runs_go_to_a_folder_of_their_algorithm_preset_activation_and_what_differs_else():
-    assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo-vectorised/relu")
+    assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo-paper/relu")
     assert dqn.PRESETS["vectorised-2.3"].folder == Path("runs/dqn-vectorised-2.3/tanh")
     fast = ppo.PPOConfig(preset="fast", lr=0.002, n_seeds=4, hidden=(32, 32), task="goal")
     assert fast.folder == Path("runs/ppo-fast/tanh-hidden=32,32-lr=0.002-n_seeds=4-task=goal")

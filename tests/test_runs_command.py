@@ -136,7 +136,7 @@ def test_the_list_fits_80_columns_sorted_as_asked_and_json_holds_the_same(tmp_pa
     assert main(["runs"]) == 0
     assert "results/a" in capsys.readouterr().out
     write(
-        tmp_path / "runs" / "ppo-vectorised" / "tanh-learning_starts=1000",
+        tmp_path / "runs" / "ppo-paper" / "tanh-learning_starts=1000",
         "finished",
         activation="leaky_relu",
     )

@@ -216,9 +216,12 @@ def test_its_buffer_and_rounds_of_updates_are_checked_as_dqns():
     with pytest.raises(ConfigError, match=r"n_envs=6; give a multiple or a divisor of frames_per_update=4"):
         SACConfig(n_envs=6)
     with pytest.raises(ConfigError, match=r"buffer_size=8; give more than n_envs=64"):
-        SACConfig(buffer_size=8)
-    assert (SACConfig(n_envs=1).frames_per_iteration, SACConfig().frames_per_iteration) == (4, 64)
-    assert (SACConfig().updates_per_step, SACConfig(max_steps=9).keeps_next_observations) == (16, True)
+        SACConfig(buffer_size=8, n_envs=64)
+    assert (SACConfig(n_envs=1).frames_per_iteration, SACConfig(n_envs=64).frames_per_iteration) == (4, 64)
+    assert (SACConfig(n_envs=64).updates_per_step, SACConfig(max_steps=9).keeps_next_observations) == (
+        16,
+        True,
+    )
 
 
 def test_the_untrained_policy_acts_almost_at_random_and_no_weight_moves_before_learning_starts(tmp_path):

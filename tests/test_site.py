@@ -229,11 +229,11 @@ def test_every_command_of_uavnav_that_a_page_shows_is_parsed():
 
 
 TINY = {
-    "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
-    "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
-    "train c51": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
-    "train dqn": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
-    "train sac": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
+    "train ppo": ["n_envs=64", "total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
+    "train a2c": ["n_envs=64", "total_frames=2048", "compile=off", "evaluate=false"],
+    "train c51": ["n_envs=64", "total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
+    "train dqn": ["n_envs=64", "total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
+    "train sac": ["n_envs=64", "total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "20"],
     "render": ["--steps", "20"],
     "study": ["--status"],

@@ -452,6 +452,14 @@ def test_makespans_of_known_jobs_and_the_table_of_the_page():
     assert shown == makespan["table"](ROOT / "results")
 
 
+@pytest.mark.parametrize("name", studies.names())
+def test_a_study_names_every_preset_so_that_another_default_leaves_it_as_it_is(name):
+    study = studies.read(name)
+    every = [study.settings | entry for entry in study.configurations]
+    every += [said[own] for said, own in ((study.tune, "settings"), (study.draw, "screen")) if said]
+    assert all("preset" in one for one in every)
+
+
 def test_a_configuration_of_which_a_setting_is_wrong_is_refused():
     with pytest.raises(ConfigError, match="n_seeds=0"):
         studies.configurations(studies.read("paper"), Path("out"), seeds=0)

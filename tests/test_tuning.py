@@ -409,7 +409,8 @@ def test_the_status_counts_trials_and_needs_no_optuna(monkeypatch, tmp_path, cap
 
 def test_trials_are_asked_of_a_study_that_tunes_and_algorithms_of_one_that_has_them(capsys):
     assert main(["paper", "trials=3"]) == 2
-    assert capsys.readouterr().err == "uavnav study: trials=3: study paper neither tunes nor draws; leave it out\n"
+    told = "uavnav study: trials=3: study paper neither tunes nor draws; leave it out\n"
+    assert capsys.readouterr().err == told
     assert main(["paper", "algorithms=sac"]) == 2
     assert "algorithms=sac; choose from dqn, ppo" in capsys.readouterr().err
     assert len(studies.configurations(studies.only(studies.read("paper"), "ppo"), Path("out"))) == 4

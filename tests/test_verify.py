@@ -23,11 +23,20 @@ verify_command = functools.partial(commands.run, "verify")
 ALGORITHMS = {
     "ppo": (
         ppo.train,
-        ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off"),
+        ppo.PPOConfig(
+            preset="vectorised", total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off"
+        ),
     ),
     "dqn": (
         dqn.train,
-        dqn.DQNConfig(total_frames=1024, learning_starts=256, frames_per_update=16, n_seeds=2, compile="off"),
+        dqn.DQNConfig(
+            preset="vectorised",
+            total_frames=1024,
+            learning_starts=256,
+            frames_per_update=16,
+            n_seeds=2,
+            compile="off",
+        ),
     ),
 }
 
@@ -261,7 +270,7 @@ def test_where_a_run_parts_the_versions_and_plugins_that_differ_are_named_and_no
 
 @pytest.mark.parametrize("arguments", [[], ["--frames", "900"]])
 def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monkeypatch, capsys, arguments):
-    config = ppo.PPOConfig(total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
+    config = ppo.PPOConfig(n_envs=16, total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     original = Recorder.checkpoint
 
@@ -279,6 +288,7 @@ def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monk
 
 def test_a_run_with_a_sensor_of_90_degrees_is_repeated_in_that_world(tmp_path, verdict):
     config = ppo.PPOConfig(
+        n_envs=16,
         total_frames=1024,
         frames_per_batch=512,
         epochs=1,

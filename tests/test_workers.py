@@ -35,7 +35,7 @@ from uavnav.training.recorder import Interrupted
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
-SMALL = {"total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
+SMALL = {"preset": "vectorised", "total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
 
 
 def test_ten_seeds_from_5_in_4_processes_are_3_3_2_2(tmp_path):
@@ -137,7 +137,7 @@ def test_verify_repeats_it_in_as_many_processes(spread_run):
 
 COMMAND = """
 from uavnav.algorithms.ppo import PPOConfig, train
-config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
+config = PPOConfig(n_envs=16, n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
 train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds={seconds})
 """
 
@@ -234,7 +234,14 @@ def test_no_worker_outlives_a_run_that_was_killed(tmp_path):
 @pytest.mark.slow
 def test_a_run_whose_processes_are_killed_again_and_again_ends_with_the_same_bits(tmp_path):
     """At moments by chance: the run alone, one of its workers, or all of them."""
-    config = {"n_seeds": 3, "total_frames": 10_240, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
+    config = {
+        "n_envs": 16,
+        "n_seeds": 3,
+        "total_frames": 10_240,
+        "frames_per_batch": 256,
+        "epochs": 2,
+        "compile": "off",
+    }
     command, out, chance = COMMAND.replace("400_000", "10_240"), tmp_path / "run", random.Random(0)
     for whom in (slice(1), slice(1, 2), slice(3), slice(1)):
         process = subprocess.Popen([sys.executable, "-c", command.format(out=str(out), seconds=0.1)])
@@ -286,7 +293,7 @@ def test_what_a_worker_stumbles_over_is_said_in_one_line_also_where_it_cannot_be
 
 @pytest.mark.slow
 def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
-    settings = {"n_seeds": 2, "total_frames": 640, "learning_starts": 128, "compile": "off"}
+    settings = {"n_envs": 64, "n_seeds": 2, "total_frames": 640, "learning_starts": 128, "compile": "off"}
     run = train_dqn(DQNConfig(**settings), tmp_path / "run", quiet=True, processes=2)
     assert run.progress["seed"].unique().tolist() == [0, 1]
     with pytest.raises(ConfigError, match="n_seeds=1000: the buffer would take"):
@@ -380,7 +387,10 @@ def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_i
 def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
     """DQN's first row of progress comes at 4,992 frames."""
     run = train_dqn(
-        DQNConfig(n_seeds=2, total_frames=640, compile="off"), tmp_path / "run", quiet=True, processes=2
+        DQNConfig(n_envs=64, n_seeds=2, total_frames=640, compile="off"),
+        tmp_path / "run",
+        quiet=True,
+        processes=2,
     )
     verdict = verify(run, frames=64, quiet=True)
     assert verdict.same

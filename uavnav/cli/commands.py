@@ -137,7 +137,7 @@ def overview() -> str:
 
 # -- train ---------------------------------------------------------------------------------------------------
 
-USUAL = {"preset": "vectorised", "activation": "tanh"}
+USUAL = {"preset": "paper", "activation": "tanh"}
 """What names the default folder of a run, where it is not given."""
 
 
@@ -368,7 +368,7 @@ RUNS = Usage(
 )
 EVALUATE = Usage(
     "Evaluate runs, scripted policies or zips of Stable-Baselines3 on the test split: a row per episode.",
-    "evaluate runs/ppo-vectorised/relu reactive --episodes 200",
+    "evaluate runs/ppo-paper/relu reactive --episodes 200",
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
         _value("--episodes", f"layouts (default: {EPISODES})", type=whole, default=EPISODES),
@@ -423,7 +423,7 @@ EVALUATE = Usage(
 )
 PLAY = Usage(
     "Watch runs fly in the browser, or fly yourself: writes the playground and opens it.",
-    "play runs/ppo-vectorised/relu reactive --layout 20",
+    "play runs/ppo-paper/relu reactive --layout 20",
     [
         _value("runs", f"a folder of runs, {RUN} {NO_RUNS}", nargs="*", metavar="RUN"),
         *EPISODE,
@@ -451,7 +451,7 @@ PLAYGROUND = Usage(
 )
 RENDER = Usage(
     "Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG.",
-    "render runs/ppo-vectorised/relu reactive --out flight.gif",
+    "render runs/ppo-paper/relu reactive --out flight.gif",
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
         _value(
@@ -500,7 +500,7 @@ REPORT = Usage(
 )
 VERIFY = Usage(
     "Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit.",
-    "verify runs/ppo-vectorised/relu --frames 20000",
+    "verify runs/ppo-paper/relu --frames 20000",
     [
         _value("run", "a finished run's folder", type=Path, metavar="RUN"),
         _value("--frames", "repeat only the first so many frames per seed", type=whole),
@@ -524,7 +524,7 @@ BENCH = Usage(
 )
 EXPORT = Usage(
     "Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2).",
-    "export runs/ppo-vectorised/relu --out policy.onnx",
+    "export runs/ppo-paper/relu --out policy.onnx",
     [
         _value("run", "a run's folder, its policy file, or a zip of Stable-Baselines3", metavar="RUN"),
         _value("--seed", "which training seed (default: the first)", type=whole),

@@ -84,7 +84,7 @@ class Config(Facts):
     n_seeds: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
     total_frames: Annotated[Count, Field(ge=1)] = 1
     n_envs: Annotated[Count, Field(ge=1)] = 1
-    preset: Name = "vectorised"
+    preset: Name = "paper"
     task: Name = "drone"
     reward: Name = "eq14"
     layouts: str = "train"

@@ -454,7 +454,7 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
     metrics, gaps = numbers["metrics"], numbers["gaps"]
     logged = metrics[(metrics["metric"] == "reward") & (metrics["definition"] == LOG_CURVE)]
     flown = gaps[gaps["mode"].isin((MODES[1], "scripted"))]
-    rows = [["reward an episode", "the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]]
+    rows = [["episode reward", "the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]]
     for algorithm, activation in sorted(paper.TABLES, key=lambda key: OF_PAPER.index(key[0])):
         of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
         own = flown[flown["who"] == name(algorithm, activation)]

@@ -39,7 +39,7 @@ SB3_WEIGHTS, SB3_SETTINGS = "policy.pth", "data"
 SB3_MAX_BYTES = 2**26
 """Of a zip's weights, unpacked: a network of 64-64 has a hundred thousand."""
 SB3_EPSILON = 0.05
-"""Stable-Baselines3's final epsilon by default, and ours in the preset `paper`: a zip's weights do
+"""Stable-Baselines3's final epsilon by default, and ours in the preset `vectorised`: a zip's weights do
 not tell.
 """
 

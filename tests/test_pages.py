@@ -90,7 +90,8 @@ def test_the_tables_of_the_start_are_the_runs_files_and_the_episodes_columns():
     page = PAGES["start"]
     files = [code(row[0])[0] for row in table(page, "| file | contains |")]
     of_evaluations = {runs.EVALUATION, runs.BEHAVIOUR, runs.ARENA, runs.VALUES}
-    assert {*files} == {*runs.FILES, *of_evaluations, "checkpoint/", "workers/"}
+    kept = f"{runs.KEPT}0.1.safetensors"
+    assert {*files} == {*runs.FILES, *of_evaluations, kept, "checkpoint/", "workers/"}
     assert [code(row[0])[0] for row in table(page, "| column | meaning |")] == list(metrics.EPISODE_COLUMNS)
 
 

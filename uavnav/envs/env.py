@@ -295,7 +295,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         """TorchRL's; steps of an `Actor` that no episode's end breaks are one graph where the environment is
         compiled.
         """
-        plain = isinstance(policy, Actor) and not args and how == {"break_when_any_done": False}
+        plain = type(policy) is Actor and not args and how == {"break_when_any_done": False}
         if not (self.compiled and plain):
             return super().rollout(max_steps, policy, *args, **how)
         self.reset()

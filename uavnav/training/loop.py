@@ -226,11 +226,13 @@ def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
 
 
 class Rollouts(Collector):  # type: ignore[misc]
-    """TorchRL's collector, whose batch is one call of a graph where the environment is compiled."""
+    """TorchRL's collector, whose batch is one call of a graph where the environment is compiled; an actor of
+    another class is asked step by step.
+    """
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """The next steps [A, W, T], batch after batch."""
-        if not self.env.compiled:
+        if not self.env.compiled or type(self.policy) is not Actor:
             yield from super().iterator()
         while True:
             yield self.env.steps(self.policy, self.frames_per_batch)

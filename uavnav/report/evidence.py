@@ -11,7 +11,7 @@ from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import OPEN, of_claim
+from uavnav.report.verdicts import COUNTS, OPEN, of_claim
 
 
 class Row(NamedTuple):
@@ -50,8 +50,9 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
-    chosen = "claim == @claim.number and column == @claim.column and standing == @COUNTS"
-    for place, one in content.tables["verdicts"].query(chosen).iterrows():
+    verdicts = content.tables["verdicts"]
+    chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
+    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].iterrows():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
         return f"{one['text']}: {quotes.link(effect, 'verdicts', int(str(place)))}"
     return "No part that counts has runs."

@@ -272,6 +272,9 @@ def _evaluate(parser: Parser) -> None:
     told = "fly each in every world that one of the runs was trained in instead, and draw the matrix"
     where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)
+    _shield(parser, "fly all under the shield: the nearest action that cannot collide in the next step")
+    told = "count danger, separation, curvature and jerk too; takes longer, for every step is flown"
+    parser.add_argument("--measures", action="store_true", help=told)
     told = f"so many seeds of {DRAWS}, each on every layout (default: 1)"
     parser.add_argument("--seeds", type=whole, default=1, metavar="N", help=told)
     parser.add_argument(
@@ -368,11 +371,16 @@ def _study(parser: Parser) -> None:
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
+def _shield(parser: Parser, told: str) -> None:
+    parser.add_argument("--shield", action="store_true", help=told)
+
+
 def _compare(parser: Parser) -> None:
     """Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves."""
     parser.epilog = "example: uavnav compare runs/ppo-fast/relu runs/dqn-fast/relu reactive"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     _activation(parser)
+    _shield(parser, "each under the shield too: the nearest action that cannot collide in the next step")
     parser.add_argument("--out", type=Path, metavar="FILE", help="a page, compare.html")
     _output(parser, "--json")
     _plugins(parser)

@@ -31,12 +31,12 @@ def _found(name: str, arguments: Namespace) -> Run | Flyer:
     """A run, a zip, a policy that ships or a scripted policy."""
     if name in BASELINES:
         seeds = range(arguments.seeds if name == DRAWS else 1)
-        return Flyer(name, {"scripted": dict.fromkeys(seeds, BASELINES[name])})
+        return Flyer(name, {"scripted": dict.fromkeys(seeds, BASELINES[name])}, shield=arguments.shield)
     if policies.is_zip(name):
         zipped = policies.load_policy(name, activation=arguments.activation)
-        return Flyer(name, policies.by_mode({0: zipped}))
+        return Flyer(name, policies.by_mode({0: zipped}), shield=arguments.shield)
     if shipped.is_shipped(name):
-        return Flyer(name, policies.by_mode(policies.load_policies(name)))
+        return Flyer(name, policies.by_mode(policies.load_policies(name)), shield=arguments.shield)
     try:
         return Run(name)
     except RunError as error:
@@ -60,6 +60,9 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
         raise ConfigError(
             f"--faults {arguments.faults}: ladders and worlds of training have their own; leave it out"
         )
+    for name in ("shield", "measures"):
+        if elsewhere and getattr(arguments, name):
+            raise ConfigError(f"--{name}: only on the layouts of one split; leave it out")
     if elsewhere and arguments.layouts != "test":
         told = "--across and --transfer fly on test layouts of their own"
         raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
@@ -77,7 +80,8 @@ def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
         task = found.task or make_task(EMPTY, task=arguments.task)
         limit, name = task.limit(MAX_STEPS), name_of(task)
     limit = limit if arguments.max_steps is None else arguments.max_steps
-    return Protocol(arguments.layouts, arguments.episodes, limit, from_option(arguments.faults), name)
+    faults = from_option(arguments.faults)
+    return Protocol(arguments.layouts, arguments.episodes, limit, faults, name, arguments.shield)
 
 
 def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
@@ -95,15 +99,15 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
     """
     protocol = _protocol(found, arguments)
     if isinstance(found, Run):
-        rows = evaluate_run(
-            found, protocol.episodes, protocol.max_steps, protocol.layouts, quiet, protocol.faults
-        )
+        layouts, episodes, limit, faults, _, shield = protocol
+        rows = evaluate_run(found, episodes, limit, layouts, quiet, faults, shield, arguments.measures)
         kept = [found.path / protocol.file("evaluation")]
         shown: str | Run = found
     else:
         files = _files(found, arguments)
-        task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:-1])
-        rows = found.fly(task, f"on {protocol.layouts}", quiet, measure_of(protocol.layouts))
+        task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:4])
+        measure = measure_of(protocol.layouts)
+        rows = found.fly(task, f"on {protocol.layouts}", quiet, measure, arguments.measures)
         rows.attrs = protocol.header()
         for mode, path in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -97,7 +97,7 @@ class Agents:
         values = self._network.of_agents(observation[self._rows])[self._own]
         parts = torch.split(values, [sum(sizes[agent] for agent in agents) for agents in self._alike])
         actions = [self._choose(agents, part) for agents, part in zip(self._alike, parts, strict=True)]
-        return torch.cat(actions), values
+        return self._policies[0].kept_safe(torch.cat(actions), observation), values
 
     def _arrange(self, sizes: list[int]) -> None:
         """Lay out the rows of each agent that has some [A, W]; the last one again where there are fewer."""
@@ -153,7 +153,10 @@ def _kind_of_network(policy: AnyPolicy) -> tuple[object, ...] | None:
     """What policies have in common that can be one network; nothing of another kind is equal. None of a
     script.
     """
-    return (made_of(policy.network) or object(), policy.head) if isinstance(policy, Policy) else None
+    if not isinstance(policy, Policy):
+        return None
+    shield = policy.task.world if policy.under_shield else None
+    return made_of(policy.network) or object(), policy.head, shield
 
 
 def _way_to_act(policy: Policy) -> tuple[object, ...]:

@@ -21,7 +21,7 @@ from uavnav.report import configurations, curves, tables
 from uavnav.report.configurations import Configuration
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
-from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
+from uavnav.runs.metrics import EVALUATED, METRICS, own, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
@@ -52,11 +52,11 @@ class Contender(NamedTuple):
     pilot: str = ""  # an algorithm's or a scripted policy's name, for its colour
 
 
-def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
+def contend(names: Sequence[str], activation: str | None = None, shield: bool = False) -> list[Contender]:
     """Rows of runs, and of scripts that lie beside the first run (`baselines/`), are read. All else is flown
     now, as the first of the runs was.
 
-    activation: of a zip's hidden layers.
+    activation: of a zip's hidden layers; shield: each is flown once more, under the shield.
 
     Raises:
         LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
@@ -70,6 +70,10 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
         usual = _place("drone", "eq14", World().model_dump())
         kept = Contender(name, rows, protocol, usual, None, name) if rows is not None else None
         found.append(runs.get(name) or kept or fly(name, protocol, activation, first))
+        if shield and name in runs:
+            found.append(_of_run(name, shield=True))
+        elif shield:
+            found.append(fly(name, protocol, activation, first, shield=True))
     return found
 
 
@@ -113,17 +117,18 @@ def _is_policy(name: str) -> bool:
     return file or shipped.is_shipped(name)
 
 
-def _of_run(name: str) -> Contender:
+def _of_run(name: str, shield: bool = False) -> Contender:
     try:
         run = Run(name)
     except RunError as error:
         raise RunError(f"{error}{shipped.instead(name)}") from error
     rows = run.evaluation()
-    if rows is None:
+    if rows is None or shield:
         from uavnav.evaluation import evaluate_run
 
-        rows = evaluate_run(run)
-    return trained(name, configurations.read(Path(name)), rows)
+        rows = evaluate_run(run, shield=shield)
+    found = trained(name, configurations.read(Path(name)), rows)
+    return found._replace(name=f"{name}, shielded", configuration=None) if shield else found
 
 
 def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) -> Contender:
@@ -138,12 +143,18 @@ def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) 
     return Contender(name, sampled, protocol, place, configuration, configuration.algorithm)
 
 
-def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
+def fly(
+    name: str,
+    protocol: Mapping[str, Any],
+    activation: str | None,
+    run: str | None,
+    shield: bool = False,
+) -> Contender:
     """The episodes of what is no run, flown now; run: in whose world a scripted policy flies."""
     from uavnav import evaluation
     from uavnav.runs import policies
     from uavnav.runs.policies import Policy
-    from uavnav.tasks.baselines import BASELINES, suited
+    from uavnav.tasks.baselines import BASELINES
     from uavnav.tasks.table import name_of
     from uavnav.training import display, machine
 
@@ -158,11 +169,12 @@ def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str
     task = evaluation.on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
     n = len(task.layouts) * len(population)
     with machine.use_threads(1), display.episodes(name, n, protocol["max_steps"]) as tell:
-        population = {seed: suited(policy, task) for seed, policy in population.items()}
+        population = {seed: evaluation.fitted(policy, task, shield) for seed, policy in population.items()}
         place = _place(name_of(task), task.reward, task.world.model_dump())
         pilot = first.algorithm if isinstance(first, Policy) else name
         flown = evaluation.fly(population, task, tell).episodes
-        return Contender(name, flown, protocol, place, None, pilot)
+        named = f"{name}, shielded" if shield else name
+        return Contender(named, flown, protocol, place, None, pilot)
 
 
 def check(contenders: Sequence[Contender]) -> None:
@@ -192,7 +204,7 @@ def apart(contenders: Sequence[Contender]) -> str:
 
 def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
     """The metrics of every seed, by contender."""
-    return {one.name: per_seed(one.episodes) for one in contenders}
+    return {one.name: per_seed(one.episodes).join(own(one.episodes)) for one in contenders}
 
 
 def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:

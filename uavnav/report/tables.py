@@ -34,7 +34,7 @@ from uavnav.report.verdicts import (
 )
 from uavnav.runs import paper, trials
 from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, SAMPLED, decimals, words
-from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
+from uavnav.runs.metrics import METRICS, MODES, OWN, finished, per_seed
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
 Rows = list[list[str]]
@@ -298,12 +298,15 @@ def _about(seeds: float) -> str:
 
 def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
     """Anything that has flown: a row a metric, a column each; seeds: by name, a row a seed as of
-    `metrics.per_seed`.
+    `metrics.per_seed`, with those of `metrics.OWN` that some have.
     """
     rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
     for column, metric in METRICS.items():
         found = [stats.interval(one[column].dropna().to_numpy()) for one in seeds.values()]
         rows.append([str(metric), *map(_spread, found)])
+    for column in (key for key in OWN if any(key in one for one in seeds.values())):
+        known = [stats.interval(one[column].to_numpy()) if column in one else None for one in seeds.values()]
+        rows.append([OWN[column].label, *(NOTHING if one is None else _spread(one) for one in known)])
     return rows
 
 

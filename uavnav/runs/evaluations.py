@@ -19,6 +19,7 @@ class Protocol(NamedTuple):
     max_steps: int = MAX_STEPS
     faults: Faults | None = None  # None: the task's own
     task: str = "drone"  # of a scripted policy; a run knows its own
+    shield: bool = False  # whether all actions go through `tasks.shield`
 
     def file(self, name: str) -> str:
         """The file of a policy's rows: `evaluation.parquet`, or such as
@@ -27,7 +28,7 @@ class Protocol(NamedTuple):
         Only the usual protocol has no parts, so that no file replaces another's.
         """
         parts = [self.task] * (self.task != "drone") + [self._layouts(), self.episodes, self.max_steps]
-        parts += [self.faults] * (self.faults is not None)
+        parts += [self.faults] * (self.faults is not None) + ["shielded"] * self.shield
         usual = self._replace(layouts=str(self.layouts)) == Protocol()
         return "-".join(map(str, [name, *([] if usual else parts)])) + ".parquet"
 
@@ -46,6 +47,7 @@ class Protocol(NamedTuple):
             "max_steps": self.max_steps,
         }
         own |= {} if self.faults is None else {"faults": str(self.faults)}
+        own |= {"shield": True} if self.shield else {}
         return own if self.task == "drone" else own | {"task": self.task}
 
 

@@ -34,6 +34,7 @@ SMALL = {"n_seeds": 2, "n_envs": 8, "total_frames": 640, "hidden": (16,), "lr": 
 TINY = {
     "ppo": {"frames_per_batch": 128, "epochs": 2},
     "dqn": {"learning_starts": 64, "target_update_frames": 64, "frames_per_update": 4},
+    "pqn": {"frames_per_batch": 128, "epsilon_end": 0.1, "epochs": 4},
     "sac": {"learning_starts": 64, "target_entropy": 0.3, "frames_per_update": 4},
     "c51": {
         "learning_starts": 64,

@@ -52,7 +52,8 @@ SETTINGS = {
         "n_atoms": 21,
     },
 }
-FEW = {"ppo": 8_192, "a2c": 8_320, "dqn": 8_192, "sac": 4_096, "c51": 2_048}
+SETTINGS["pqn"] = {"n_envs": 64, "total_frames": 60_000, "minibatch_size": 128, "epochs": 4, "lr": 1e-3}
+FEW = {"pqn": 8_192, "ppo": 8_192, "a2c": 8_320, "dqn": 8_192, "sac": 4_096, "c51": 2_048}
 """Frames of a policy that stays what it was at the start."""
 SLOW = [
     pytest.param(name, marks=pytest.mark.slow) if name in ("dqn", "sac", "c51") else name for name in SETTINGS

@@ -47,10 +47,18 @@ def test_a_generated_table_is_what_the_code_says(page, block, text):
 
 def test_a_setting_shows_each_algorithms_default_and_what_fast_sets_instead():
     rows = {
-        row[0]: row[1:] for row in table(ALL["docs/algorithms.md"], "| key | PPO | DQN | A2C | C51 | SAC |")
+        row[0]: row[1:]
+        for row in table(ALL["docs/algorithms.md"], "| key | PPO | DQN | A2C | C51 | SAC | PQN |")
     }
-    assert rows["`lr`"] == ["0.0003→0.001", "0.0001→0.00025", "0.0007→0.00086", "0.00025", "0.0003→0.0023"]
-    assert rows["`double`"] == ["", "false→true", "", "false→true", ""]
+    assert rows["`lr`"] == [
+        "0.0003→0.001",
+        "0.0001→0.00025",
+        "0.0007→0.00086",
+        "0.00025",
+        "0.0003→0.0023",
+        "0.0005→0.001",
+    ]
+    assert rows["`double`"] == ["", "false→true", "", "false→true", "", ""]
     assert "\n- Only SAC: `tau=0.005→0.0037`, " in ALL["docs/algorithms.md"]
 
 
@@ -73,6 +81,7 @@ SHORT = {
     "dqn": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
     "sac": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
     "c51": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+    "pqn": {"n_envs": 4, "total_frames": 128, "frames_per_batch": 64},
 }
 
 
@@ -139,6 +148,7 @@ def test_every_name_in_code_exists(name):
         "a2c": 12,
         "c51": 15,
         "sac": 12,
+        "pqn": 10,
         "extending": 8,
     }.get(name, 0)
 
@@ -158,7 +168,8 @@ def symbols(tex):
 
 
 @pytest.mark.parametrize(
-    ("name", "least"), [("environment", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12), ("c51", 14), ("sac", 14)]
+    ("name", "least"),
+    [("environment", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12), ("c51", 14), ("sac", 14), ("pqn", 8)],
 )
 def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
     equations = re.findall(r"\$\$(.*?)\$\$", PAGES[name], flags=re.DOTALL)

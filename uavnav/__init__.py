@@ -25,7 +25,7 @@ from uavnav.errors import did_you_mean
 
 if TYPE_CHECKING:
     from uavnav import evaluation, networks, plugins, report, stats
-    from uavnav.algorithms import a2c, c51, dqn, ppo, sac
+    from uavnav.algorithms import a2c, c51, dqn, ppo, pqn, sac
     from uavnav.envs.env import DroneEnv
     from uavnav.errors import ConfigError
     from uavnav.evaluation import evaluate_policy

@@ -94,6 +94,9 @@ BUILT_IN = {
         logs=("episodes", 4),  # as all that learns from replay there
     ),
     "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
+    "pqn": Algorithm(
+        "uavnav.algorithms.pqn", "epsilon-greedy", "Q values", "Q value", logs=("frames", "frames_per_batch")
+    ),
 }
 
 ALGORITHMS = Table(BUILT_IN)

@@ -294,6 +294,7 @@ SIZES = ", ".join(f"{split.n:,} {name}" for name, split in SPLITS.items())
 SEEDS = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
 
 ACTIVATION = _value("--activation", "of a .zip's hidden layers, where it does not say it itself")
+SHIELD = "the nearest action that cannot collide in the next step"
 WHICH_LAYOUTS = _value(
     "--layouts",
     f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path (default: test)",
@@ -403,6 +404,11 @@ EVALUATE = Usage(
         ],
         _flag("--alone", "with --across: only the runs, sampled, without scripted policies and a figure"),
         ACTIVATION,
+        _flag("--shield", f"put all under the shield: {SHIELD}"),
+        _flag(
+            "--measures",
+            "count danger, separation, curvature and jerk too; takes longer, for no step is skipped",
+        ),
         _value(
             "--seeds",
             f"so many seeds of {DRAWS}, each on every layout (default: 1)",
@@ -476,6 +482,7 @@ COMPARE = Usage(
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
         ACTIVATION,
+        _flag("--shield", f"add each under the shield: {SHIELD}"),
         _value("--out", "a page, compare.html", type=Path, metavar="FILE"),
         JSON,
         PLUGINS,

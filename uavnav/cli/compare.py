@@ -23,11 +23,11 @@ def main(arguments: Namespace) -> int:
     if arguments.out is not None:
         check_out(arguments.out)
     names = list(dict.fromkeys(arguments.runs))
-    if len(names) < 2:
+    if len(names) < 2 and not arguments.shield:
         raise ConfigError(
             f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive"
         )
-    contenders = contend(names, arguments.activation)
+    contenders = contend(names, arguments.activation, arguments.shield)
     check(contenders)
     if line := apart(contenders):
         print(line, file=sys.stderr)

@@ -30,7 +30,8 @@ MOST_SEEDS = 1_000
 def _found(name: str, arguments: Namespace) -> Run | Flyer:
     """A run, a zip, a policy that ships or a scripted policy."""
     if name in BASELINES or policies.is_zip(name) or shipped.is_shipped(name):
-        return of_policy(name, arguments.activation, arguments.seeds if name == DRAWS else 1)
+        who = of_policy(name, arguments.activation, arguments.seeds if name == DRAWS else 1)
+        return who._replace(shield=arguments.shield)
     try:
         return Run(name)
     except RunError as error:
@@ -55,6 +56,9 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
     if elsewhere and arguments.faults is not None:
         told = "ladders and tasks of training have their own"
         raise ConfigError(f"--faults {arguments.faults}: {told}; leave it out")
+    for name in ("shield", "measures"):
+        if elsewhere and getattr(arguments, name):
+            raise ConfigError(f"--{name}: only on the layouts of one split; leave it out")
     if elsewhere and arguments.layouts != "test":
         told = "--across and --transfer fly on test layouts of their own"
         raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
@@ -72,7 +76,9 @@ def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
         limit, name = task.limit(MAX_STEPS), name_of(task)
     limit = limit if arguments.max_steps is None else arguments.max_steps
     faults = from_option(arguments.faults)
-    return Protocol(arguments.layouts, arguments.episodes, limit, faults, name, arguments.at)
+    return Protocol(
+        arguments.layouts, arguments.episodes, limit, faults, name, arguments.at, arguments.shield
+    )
 
 
 def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
@@ -88,14 +94,15 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
     """Evaluate on the layouts of one split, keep the rows and show them; returns them for JSON."""
     protocol = _protocol(found, arguments)
     if isinstance(found, Run):
-        bounds = protocol.episodes, protocol.max_steps, protocol.layouts
-        rows = evaluate_run(found, *bounds, quiet, protocol.faults, protocol.at)
+        layouts, episodes, limit, faults, _, at, shield = protocol
+        rows = evaluate_run(found, episodes, limit, layouts, quiet, faults, at, shield, arguments.measures)
         kept = [found.path / protocol.file("evaluation")]
         shown: str | Run = found
     else:
         files = _files(found, arguments)
         task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:4])
-        rows = found.fly(task, f"on {protocol.layouts}", quiet, measure_of(protocol.layouts))
+        measure = measure_of(protocol.layouts)
+        rows = found.fly(task, f"on {protocol.layouts}", quiet, measure, arguments.measures)
         rows.attrs = protocol.header()
         for mode, path in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -19,6 +19,7 @@ from torch import Tensor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, told
 from uavnav.evaluation import episodes, values
+from uavnav.evaluation.measures import Measures
 from uavnav.evaluation.repeats import Repeats
 from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run, kept
 from uavnav.runs.evaluations import Protocol as Protocol
@@ -33,6 +34,7 @@ from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
+from uavnav.tasks.shield import shielded
 from uavnav.tasks.state import COUNTS, State, at
 from uavnav.tasks.table import EMPTY, TASKS, make_task
 from uavnav.tasks.task import Task
@@ -119,6 +121,15 @@ def evaluate_policy(
     return fly({seed: suited(policy, own)}, on(own, layouts, episodes, limit, faults)).episodes
 
 
+def fitted(policy: AnyPolicy, task: WrappedTask, shield: bool) -> AnyPolicy:
+    """`suited`, and under the shield where that is asked for."""
+    if not shield:
+        return suited(policy, task)
+    if isinstance(policy, Policy):
+        return policy.shielded()
+    return shielded(suited(policy, task), task.world)
+
+
 def on(
     task: WrappedTask,
     layouts: str | Path | Tensor = "test",
@@ -171,16 +182,20 @@ def fly_modes(
     tell: Callable[[int, int], object] = lambda step, going: None,
     measure: Measure | None = None,
     heading: Tensor | None = None,
+    measures: bool = False,
 ) -> Evaluation:
     """The same of policies by mode, such as `greedy` and `sampled`; both tables have a column `mode`.
 
-    heading: [layouts] of the start, where it is not the task's.
+    heading: [layouts] of the start, where it is not the task's. measures: rows have the columns of
+    `uavnav.evaluation.measures` too, and every step is flown.
     """
     policies = [one for population in modes.values() for one in population.items()]
     seeds = [seed for seed, _ in policies]
     measure, start = measure or task.measure, episodes.start(task, seeds, heading)
     sums = {name: torch.zeros_like(one) for name, one in measure(start, start).items()}
-    goes_round = torch.tensor([not sums and _repeatable(policy, task) for _, policy in policies])
+    more = Measures(len(start.x), task) if measures else None
+    every_step = bool(sums) or measures
+    goes_round = torch.tensor([not every_step and _repeatable(policy, task) for _, policy in policies])
     repeats = Repeats(goes_round.repeat_interleave(len(task.layouts)), task.max_steps or 0, WATCHED_STEPS)
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
@@ -190,10 +205,13 @@ def fly_modes(
         if sums:
             for name, found in measure(at(step.before, step.place), step.state).items():
                 sums[name][step.episode] += found
+        if more is not None:
+            more.see(step)
         if step.ended.any():
             episode, place = step.episode[step.ended], step.place[step.ended]
             row = _end(episode, at(step.states, place), step.outcomes.terminated[place])
-            ended.append(row | {name: one[episode] for name, one in sums.items()})
+            columns = sums | (more.columns if more is not None else {})
+            ended.append(row | {name: one[episode] for name, one in columns.items()})
         if (counted := repeats.see(step)) is not None:
             ended.append(_end(*counted, torch.zeros(len(counted[0]), dtype=torch.bool)))
         tell(step.number, int((~step.ended).sum()))
@@ -247,12 +265,15 @@ def evaluate_run(
     quiet: bool = False,
     faults: Faults | None = None,
     at: float | None = None,
+    shield: bool = False,
+    measures: bool = False,
 ) -> pd.DataFrame:
     """Evaluate every seed of a run, greedy and sampled, and keep its rows (see `Protocol.file`).
 
     On a terminal a bar shows how far it is, unless it is `quiet`. By default faults are of training, and the
     time limit is 10,000 steps, or the task's own where that is lower. Policies are those
-    of the end of training, or those kept after the share `at` of it (the setting `keep_at`).
+    of the end of training, or those kept after the share `at` of it (the setting `keep_at`). With a shield
+    they are `Policy.shielded`. measures: as of `fly_modes`.
 
     Returns:
         The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs` the protocol, as in the file's header.
@@ -265,11 +286,12 @@ def evaluate_run(
     checked("quiet", quiet, bool)
     if at is not None and at not in run.config.get("keep_at", []):
         raise RunError(f"{run.path}: kept no policies at={at:g}; train with keep_at=[{at:g}]")
-    modes = by_mode(load_policies(run.path if at is None else run.path / kept(at), run.seeds))
+    policies = load_policies(run.path if at is None else run.path / kept(at), run.seeds)
+    modes = by_mode({seed: one.shielded() if shield else one for seed, one in policies.items()})
     own = modes["greedy"][run.seeds[0]].task
     max_steps = own.limit(MAX_STEPS) if max_steps is None else max_steps
     task = on(own, layouts, episodes, max_steps, faults)
-    protocol = Protocol(layouts, episodes, max_steps, faults, at=at)
+    protocol = Protocol(layouts, episodes, max_steps, faults, at=at, shield=shield)
     rows_file, behaviour_file = (protocol.file(Path(name).stem) for name in (EVALUATION, BEHAVIOUR))
     usual = type(task.task) is Task and rows_file == EVALUATION
 
@@ -277,7 +299,7 @@ def evaluate_run(
         seeds: Sequence[int], tell: Callable[[int, int], object] = lambda step, going: None
     ) -> dict[str, pd.DataFrame]:
         own = {mode: {seed: population[seed] for seed in seeds} for mode, population in modes.items()}
-        rows, behaviour = fly_modes(own, task, tell, measure_of(layouts))
+        rows, behaviour = fly_modes(own, task, tell, measure_of(layouts), measures=measures)
         found = {ARENA: in_empty_arena(own)} if usual else {}
         if usual and ALGORITHMS[run.algorithm].shown == "Q value":
             found[VALUES] = values.overestimation(own["greedy"], run.config["gamma"])

@@ -19,13 +19,13 @@ from rich.table import Table
 
 from uavnav import stats, style
 from uavnav.colours import PILOTS, colours
-from uavnav.evaluation import check_bounds, fly_modes, rows_across, summary
+from uavnav.evaluation import check_bounds, fitted, fly_modes, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics
 from uavnav.runs.lately import span
 from uavnav.runs.policies import Policy, by_mode, is_zip, load_policies, load_policy
 from uavnav.runs.tables import RunError, lock, records, write_table
-from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure
 from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS, USUAL
 from uavnav.tasks.table import EMPTY, make_task
@@ -43,6 +43,7 @@ class Flyer(NamedTuple):
     name: str
     modes: Mapping[str, Mapping[int, AnyPolicy]]
     run: Run | None = None
+    shield: bool = False  # whether all fly under the shield
 
     @property
     def _first(self) -> AnyPolicy:
@@ -62,16 +63,21 @@ class Flyer(NamedTuple):
         """The same without its greedy policies."""
         return self._replace(modes={mode: own for mode, own in self.modes.items() if mode != "greedy"})
 
-    def fly(self, task: WrappedTask, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
-        """A row an episode in a task, with its mode; where: the task's name for a bar."""
+    def fly(
+        self, task: WrappedTask, where: str, quiet: bool, measure: Measure | None, measures: bool = False
+    ) -> pd.DataFrame:
+        """A row an episode in a task, with its mode.
+
+        where: the task's name for a bar; measures: as of `fly_modes`.
+        """
         modes = {
-            mode: {seed: suited(policy, task) for seed, policy in population.items()}
+            mode: {seed: fitted(policy, task, self.shield) for seed, policy in population.items()}
             for mode, population in self.modes.items()
         }
         n = len(task.layouts) * sum(map(len, modes.values()))
         bar = display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet)
         with machine.use_threads(1), bar as tell:
-            return fly_modes(modes, task, tell, measure).episodes
+            return fly_modes(modes, task, tell, measure, measures=measures).episodes
 
 
 def of_policy(name: str, activation: str | None = None, seeds: int = 1) -> Flyer:

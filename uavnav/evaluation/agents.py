@@ -39,7 +39,10 @@ class Policies:
 
         def network(seeded: Seeded) -> tuple[object, ...] | None:  # None of a script
             own = seeded[1]
-            return (made_of(own.network) or object(), own.head) if isinstance(own, Policy) else None
+            if not isinstance(own, Policy):
+                return None
+            shield = own.world if own.under_shield else None
+            return made_of(own.network) or object(), own.head, shield
 
         for some in ([*alike] for _, alike in itertools.groupby(policies, network)):
             agents = [(seed, policy) for seed, policy in some if isinstance(policy, Policy)]
@@ -107,7 +110,7 @@ class Agents:
             policy = self._policies[agents[0]]
             uniforms = [policy.draw((sizes[agent],), self._generators[agent]) for agent in agents]
             actions.append(policy.choose(part, torch.cat(uniforms, -1)))
-        return torch.cat(actions), values
+        return self._policies[0].kept_safe(torch.cat(actions), observation), values
 
     def _arrange(self, sizes: list[int]) -> None:
         """Lay out the rows of each agent that has some [A, W]; the last one again where there are fewer."""

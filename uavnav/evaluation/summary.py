@@ -147,7 +147,7 @@ def _own(rows: pd.DataFrame) -> list[str]:
     """What the task or the split has of its own, in words: means over seeds, by mode."""
     means = {str(mode): metrics.own(flown).mean() for mode, flown in rows.groupby("mode")}
     return [
-        f"{one.label}: {', '.join(f'{mean[name]:,.2f} {mode}' for mode, mean in means.items())}"
+        f"{escape(one.label)}: {', '.join(f'{mean[name]:,.2f} {mode}' for mode, mean in means.items())}"
         for name, one in metrics.OWN.items()
         if all(name in mean for mean in means.values())
     ]

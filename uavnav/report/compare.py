@@ -22,7 +22,7 @@ from uavnav.report.configurations import Configuration, curve
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.lately import sparkline
-from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
+from uavnav.runs.metrics import EVALUATED, METRICS, own, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
@@ -56,10 +56,10 @@ class Contender(NamedTuple):
         return of_episodes(self.episodes["reward"], self.episodes["seed"])
 
 
-def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
+def contend(names: Sequence[str], activation: str | None = None, shield: bool = False) -> list[Contender]:
     """Read rows of runs, and of scripts in a `baselines/` above the first run; all else is evaluated now.
 
-    activation: of a zip's hidden layers.
+    activation: of a zip's hidden layers; shield: each is evaluated once more, under the shield.
 
     Raises:
         LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
@@ -73,6 +73,10 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
         usual = _place("drone", "eq14", World().model_dump())
         kept = Contender(name, rows, protocol, usual, None, name) if rows is not None else None
         found.append(runs.get(name) or kept or fly(name, protocol, activation, first))
+        if shield and name in runs:
+            found.append(_of_run(name, shield=True))
+        elif shield:
+            found.append(fly(name, protocol, activation, first, shield=True))
     return found
 
 
@@ -114,17 +118,18 @@ def _is_policy(name: str) -> bool:
     return file or shipped.is_shipped(name)
 
 
-def _of_run(name: str) -> Contender:
+def _of_run(name: str, shield: bool = False) -> Contender:
     try:
         run = Run(name)
     except RunError as error:
         raise RunError(f"{error}{shipped.instead(name)}") from error
     rows = run.evaluation()
-    if rows is None:
+    if rows is None or shield:
         from uavnav.evaluation import evaluate_run
 
-        rows = evaluate_run(run)
-    return trained(name, configurations.read(Path(name)), rows)
+        rows = evaluate_run(run, shield=shield)
+    found = trained(name, configurations.read(Path(name)), rows)
+    return found._replace(name=f"{name}, shielded", configuration=None) if shield else found
 
 
 def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) -> Contender:
@@ -139,16 +144,18 @@ def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) 
     return Contender(name, sampled, protocol, place, configuration, configuration.algorithm)
 
 
-def fly(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
+def fly(
+    name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None, shield: bool = False
+) -> Contender:
     """The episodes of what is no run, evaluated now; run: in whose task a scripted policy flies."""
     from uavnav.evaluation import across, on
     from uavnav.tasks.table import name_of
 
-    who = across.of_policy(name, activation).as_trained()
+    who = across.of_policy(name, activation).as_trained()._replace(shield=shield)
     task = on(who.task or _scripted(run), **protocol)
     rows = who.fly(task, f"on {protocol['layouts']}", quiet=False, measure=None).drop(columns="mode")
     place = _place(name_of(task), task.reward, task.world.model_dump())
-    return Contender(name, rows, protocol, place, None, who.kind)
+    return Contender(f"{name}, shielded" if shield else name, rows, protocol, place, None, who.kind)
 
 
 def check(contenders: Sequence[Contender]) -> None:
@@ -178,7 +185,7 @@ def apart(contenders: Sequence[Contender]) -> str:
 
 def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
     """The metrics of every seed, by contender."""
-    return {one.name: per_seed(one.episodes) for one in contenders}
+    return {one.name: per_seed(one.episodes).join(own(one.episodes)) for one in contenders}
 
 
 def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:

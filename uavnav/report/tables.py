@@ -35,7 +35,7 @@ from uavnav.report.verdicts import (
 )
 from uavnav.runs import paper, trials
 from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, SAMPLED, decimals, words
-from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
+from uavnav.runs.metrics import METRICS, MODES, OWN, finished, per_seed
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
 Rows = list[list[str]]
@@ -317,15 +317,23 @@ def _about(seeds: float) -> str:
 
 
 def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
-    """A row a metric, a column for each that was evaluated; seeds: by name, as of `metrics.per_seed`."""
+    """A row a metric, a column for each that was evaluated; seeds: by name, as of `metrics.per_seed`.
+
+    Rows of `metrics.OWN` follow where some have them.
+    """
     rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
-    for column, metric in METRICS.items():
+    labels = {name: str(metric) for name, metric in METRICS.items()}
+    own = {name: one.label for name, one in OWN.items() if any(name in known for known in seeds.values())}
+    for column, label in (labels | own).items():
         shown = []
         for one in seeds.values():
+            if column not in one:
+                shown.append(NOTHING)
+                continue
             value, *ends, _ = stats.interval(one[column].dropna().to_numpy())
             inside = f" ({' to '.join(map(style.number, ends))})" if np.isfinite(ends[0]) else ""
             shown.append(f"{style.number(value)}{inside}")
-        rows.append([str(metric), *shown])
+        rows.append([label, *shown])
     return rows
 
 

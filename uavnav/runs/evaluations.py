@@ -20,6 +20,7 @@ class Protocol(NamedTuple):
     faults: Faults | None = None  # None: the task's own
     task: str = "drone"  # of a scripted policy; a run knows its own
     at: float | None = None  # the share of training after which the policies were kept; None: its end
+    shield: bool = False  # whether all actions go through `tasks.shield`
 
     def file(self, name: str) -> str:
         """The file of a policy's rows: `evaluation.parquet` of the usual protocol, others with their parts,
@@ -27,7 +28,7 @@ class Protocol(NamedTuple):
         """
         parts: list[Any] = [] if self.at is None else [f"at-{self.at:g}"]
         parts += [self.task] * (self.task != "drone") + [self._layouts(), self.episodes, self.max_steps]
-        parts += [self.faults] * (self.faults is not None)
+        parts += [self.faults] * (self.faults is not None) + ["shielded"] * self.shield
         usual = self._replace(layouts=str(self.layouts)) == Protocol()
         return "-".join(map(str, [name, *([] if usual else parts)])) + ".parquet"
 
@@ -47,6 +48,7 @@ class Protocol(NamedTuple):
         }
         own |= {} if self.faults is None else {"faults": str(self.faults)}
         own |= {} if self.at is None else {"at": self.at}
+        own |= {"shield": True} if self.shield else {}
         return own if self.task == "drone" else own | {"task": self.task}
 
 

@@ -91,6 +91,19 @@ OWN: dict[str, Own] = {
     "collision": Own("collision [%]", ("succeeded",), lambda rows: 100 * collided(rows).mean()),
     "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"].mean()),
     "spl": Own("SPL", ("succeeded", "shortest"), lambda rows: spl(rows)),
+    "barn": Own("BARN's score", ("succeeded", "shortest", "danger"), lambda rows: barn(rows)),
+    "danger": Own(
+        "time in danger [%]", ("danger",), lambda rows: 100 * rows["danger"].sum() / rows["steps"].sum()
+    ),
+    "separation": Own(
+        "smallest separation [px]", ("separation",), lambda rows: float(rows["separation"].mean())
+    ),
+    "curvature": Own(
+        "curvature [degrees per 100 px]",
+        ("turned",),
+        lambda rows: 100 * rows["turned"].sum() / max(rows["distance"].sum(), 1),
+    ),
+    "jerk": Own("jerk [px/step³]", ("jerk",), lambda rows: rows["jerk"].sum() / rows["steps"].sum()),
 }
 """By name; a table shows those whose columns it has."""
 
@@ -102,6 +115,7 @@ PER_EPISODE = {
 }
 """What episodes in any task are judged by, in words with its unit."""
 COLLISIONS_PER = 1000.0  # px
+FULL_SPEED = 9.0  # px a step
 
 
 def collided(episodes: pd.DataFrame) -> pd.Series:
@@ -125,6 +139,14 @@ def spl(episodes: pd.DataFrame) -> float:
     """Success weighted by path length (Anderson et al. 2018): success x shortest / max(flown, shortest)."""
     shortest = episodes["shortest"]
     return float((episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)).mean())
+
+
+def barn(episodes: pd.DataFrame) -> float:
+    """The score of the BARN challenge (Xiao et al. 2022): the mean of success x optimal / steps, the steps
+    clipped to 4 to 8 times the optimal ones, which fly the shortest way at full speed. At most 0.25.
+    """
+    optimal = episodes["shortest"] / FULL_SPEED
+    return float((episodes["succeeded"] * optimal / episodes["steps"].clip(4 * optimal, 8 * optimal)).mean())
 
 
 def own(episodes: pd.DataFrame) -> pd.DataFrame:

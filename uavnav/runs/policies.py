@@ -29,6 +29,7 @@ from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors as safe
 from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.shield import shield
 from uavnav.tasks.table import EMPTY, TASKS, make_task
 from uavnav.tasks.world import VERSION, World
 from uavnav.tasks.wrapper import WrappedTask
@@ -85,6 +86,7 @@ class Policy:
     epsilon: float = 0.0  # the share of random actions, where its way to act has one
     seed: int = 0  # that it was trained with
     layouts: str | None = None  # SHA-256 of the split that it was trained on
+    under_shield: bool = False  # whether its actions go through `tasks.shield`
 
     @property
     def world(self) -> World:
@@ -122,13 +124,21 @@ class Policy:
         A tensor gives a tensor; a NumPy array or a list gives a NumPy array.
         """
         if isinstance(observation, Tensor):
-            return self.act(self.values(observation), generator)
+            return self.kept_safe(self.act(self.values(observation), generator), observation)
         rows = torch.from_numpy(np.array(observation, dtype=np.float32))
         if rows.shape[-1:] != (self.task.observation_size,):
             raise PolicyError(
                 f"observation of shape {list(rows.shape)}; give [..., {self.task.observation_size}]"
             )
         return self(rows, generator).numpy()
+
+    def shielded(self) -> Policy:
+        """The same policy under the shield: the nearest action that cannot collide in the next step."""
+        return replace(self, under_shield=True)
+
+    def kept_safe(self, action: Tensor, observation: Tensor) -> Tensor:
+        """Its actions [...] as it executes them: through the shield, where it is under one."""
+        return shield(action, observation, self.world) if self.under_shield else action
 
     def act(self, values: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row of what `values` gives: [..., 100] -> int64 [...]."""

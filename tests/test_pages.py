@@ -56,7 +56,7 @@ def test_a_setting_shows_each_algorithms_default_and_what_fast_sets_instead():
         "0.0007→0.00086",
         "0.00025",
         "0.0003→0.0023",
-        "0.0005→0.001",
+        "0.0005",
     ]
     assert rows["`double`"] == ["", "false→true", "", "false→true", "", ""]
     assert "\n- Only SAC: `tau=0.005→0.0037`, " in ALL["docs/algorithms.md"]

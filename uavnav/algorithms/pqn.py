@@ -43,13 +43,15 @@ class PQNConfig(TrainConfig):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "vectorised": {},
         "paper": {"n_envs": 1},
-        "fast": {
+        "fast": {  # the best of 5 settings of two seeds, by 50 layouts of `validation`: no more than a start
             "total_frames": 400_000,
             "n_envs": 128,
             "frames_per_batch": 4096,
             "minibatch_size": 256,
-            "epochs": 4,
-            "lr": 1e-3,
+            "gamma": 0.98,
+            "q_lambda": 0.9,
+            "epsilon_end": 0.01,
+            "exploration_fraction": 0.2,
         },
     }
 

@@ -50,8 +50,9 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
-    chosen = f"claim == @claim.number and column == @claim.column and standing == {COUNTS!r}"
-    for place, one in content.tables["verdicts"].query(chosen).iterrows():
+    verdicts = content.tables["verdicts"]
+    chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
+    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].iterrows():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
         return f"{one['text']}: {quotes.link(effect, 'verdicts', int(str(place)))}"
     return "No part that counts has runs."
@@ -61,6 +62,11 @@ def table(found: Sequence[Row]) -> tables.Rows:
     """A claim's sentence in the paper and its grade in each column."""
     shown = [["", "the paper says", *COLUMNS]]
     return [*shown, *([str(one.number), one.sentence, *one.grades.values()] for one in found)]
+
+
+def said(found: Sequence[Row]) -> tables.Rows:
+    """What our seeds say of each claim."""
+    return [["", "our seeds say"], *([str(one.number), one.said] for one in found)]
 
 
 def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> tables.Rows:

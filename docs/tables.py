@@ -51,7 +51,7 @@ def preset_table(kinds: Configs) -> str:
     sets: dict[tuple[str, str], list[str]] = {}
     for name, kind in kinds.items():
         for preset in kind.PRESETS:
-            given = kind.beyond_default(preset)
+            given = kind.PRESETS[preset]
             if given and preset != "fast":
                 words = ", ".join(f"`{key}={shown(value)}`" for key, value in given.items())
                 sets.setdefault((preset, words), []).append(name.upper())
@@ -63,8 +63,8 @@ def _cell(default: str | None, kind: type[TrainConfig], key: str) -> str:
     """A default, and what the preset `fast` sets instead."""
     if default is None:
         return ""
-    fast = kind.beyond_default("fast")
-    return f"{default}→{shown(fast[key])}" if key in fast else default
+    fast = kind.PRESETS["fast"].get(key)
+    return default if fast is None or shown(fast) == default else f"{default}→{shown(fast)}"
 
 
 def main() -> None:

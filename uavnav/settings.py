@@ -190,19 +190,15 @@ class Line(NamedTuple):
 
 
 def lines(kind: type[Settings], prefix: str = "") -> list[Line]:
-    """What is said of each key, with the default preset's values; one that says nothing means what it
-    meant in the class before.
-    """
+    """What is said of each key; one that says nothing means what it meant in the class before."""
     found: list[Line] = []
-    presets: Mapping[str, Any] = getattr(kind, "PRESETS", {})
-    usual = presets.get(kind.model_fields["preset"].default, {}) if presets else {}
     for name, field in kind.model_fields.items():
         before = (one.model_fields.get(name, field) for one in kind.__mro__ if issubclass(one, Settings))
         told: Any = next((one for one in before if one.description), field)
-        names = presets if name == "preset" else choices(field)
+        names = getattr(kind, "PRESETS", ()) if name == "preset" else choices(field)
         meaning = "; ".join(filter(None, (told.description, _allowed(field, names))))
         unit = (told.json_schema_extra or {}).get("unit", "")
-        found.append(Line(prefix + name, shown(usual.get(name, field.default)), unit, meaning))
+        found.append(Line(prefix + name, shown(field.default), unit, meaning))
     return found
 
 

@@ -38,10 +38,10 @@ class C51Config(QConfig):
 
     algorithm: ClassVar[str] = "c51"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "vectorised": {},
-        "paper": {"n_envs": 1},
+        "paper": {},
+        "vectorised": {"n_envs": 64},
         "fast": DQNConfig.PRESETS["fast"],
-        "rainbow-lite": {"double": True, "dueling": True, "n_steps": 5},
+        "rainbow-lite": {"n_envs": 64, "double": True, "dueling": True, "n_steps": 5},
     }
 
     lr: AtLeast0 = key(2.5e-4)

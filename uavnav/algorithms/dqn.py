@@ -108,9 +108,9 @@ class DQNConfig(QConfig):
 
     algorithm: ClassVar[str] = "dqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "vectorised": {},
-        "paper": {"n_envs": 1},  # as SB3 runs by default
-        "vectorised-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
+        "paper": {},  # as SB3 runs by default
+        "vectorised": {"n_envs": 64},
+        "vectorised-2.3": {"n_envs": 64, "learning_starts": 100},  # SB3's default since its version 2.3
         "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/archive/speed.md
             "total_frames": 400_000,
             "n_envs": 128,

@@ -41,8 +41,8 @@ class PQNConfig(TrainConfig):
 
     algorithm: ClassVar[str] = "pqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "vectorised": {},
-        "paper": {"n_envs": 1},
+        "paper": {},
+        "vectorised": {"n_envs": 64},
         "fast": {  # the best of 5 settings of two seeds, by 50 layouts of `validation`: no more than a start
             "total_frames": 400_000,
             "n_envs": 128,
@@ -55,7 +55,6 @@ class PQNConfig(TrainConfig):
         },
     }
 
-    n_envs: Count = key(64)
     lr: AtLeast0 = key(5e-4, "Adam's learning rate")
     max_grad_norm: AtLeast0 | None = key(10.0)
     layer_norm: bool = key(True)

@@ -32,7 +32,6 @@ OTHERS = 4
 class ReplayConfig(TrainConfig):
     """What learning from replay needs, whatever its loss."""
 
-    n_envs: Count = key(64)
     buffer_size: Count = key(1_000_000, "the newest so many are kept", "frames per seed")
     learning_starts: Whole = key(
         50_000, "of uniformly random actions, without updates", "frames per seed", ge=0

@@ -66,7 +66,7 @@ class TrainConfig(Settings):
         ConfigError: a value has the wrong type, is out of range, or is not among the choices.
     """
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {"n_envs": 1}, "vectorised": {}}
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
     COPIES: ClassVar[int] = 3
     """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of
@@ -80,7 +80,7 @@ class TrainConfig(Settings):
     seed: Whole = key(0, "the first of the seeds", ge=0, le=2**31 - 1)
     n_seeds: Count = key(1, "trained in parallel; their seeds count from the first", "agents")
     total_frames: Count = key(1_000_000, "length of training, in whole iterations", "frames per seed")
-    n_envs: Count = key(16, "that act in parallel", "environments per seed")
+    n_envs: Count = key(1, "that act in parallel", "environments per seed")
     hidden: Units = key((64, 64), "of each hidden layer", "units")
     lr: AtLeast0 = key(3e-4, "learning rate")
     gamma: Share = key(0.99, "discount of a step")
@@ -194,13 +194,6 @@ class TrainConfig(Settings):
         """
         reward = cls.model_fields["reward"].default
         return plain(cls(preset=preset, task=task, reward=reward)) | {"reward": TASKS[task].REWARD}
-
-    @classmethod
-    def beyond_default(cls, preset: str) -> dict[str, Any]:
-        """The settings in which a preset differs from the default one."""
-        fields = {name: field.default for name, field in cls.model_fields.items()}
-        usual, own = (fields | cls.PRESETS.get(name, {}) for name in (fields["preset"], preset))
-        return {name: value for name, value in own.items() if value != usual[name]}
 
     def changes(self) -> dict[str, Any]:
         """The settings in which this configuration differs from its preset, the activation aside."""

@@ -50,8 +50,8 @@ def render(kind: type[TrainConfig], world: type[World], command: type[Settings])
     """The help of an algorithm, from its configuration's class, its `World`'s and the command's own keys."""
     width = max(len(one) for one in kind.PRESETS)
     presets = {
-        name: " ".join(f"{key}={shown(value)}" for key, value in kind.beyond_default(name).items())
-        for name in kind.PRESETS
+        name: " ".join(f"{key}={shown(value)}" for key, value in given.items())
+        for name, given in kind.PRESETS.items()
     }
     return TEXT.format(
         name=kind.algorithm,

@@ -110,7 +110,7 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
     assert apart([ABOVE, BELOW]) == apart([fast, fast]) == ""
     end = "flew in different tasks, so their rewards are not of one measure"
     assert apart([fast, slow]) == f"fast (speed_max=6.0) and slow (speed_max=2.0) {end}"
-    monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE, BELOW, fast])
+    monkeypatch.setattr(command, "contend", lambda names, *_: [ABOVE, BELOW, fast])
     assert main(["one", "other", "--json", "--out", str(tmp_path / "page.html")]) == 0
     out, err = capsys.readouterr()
     line = f"above (task=drone) and fast (task=moving) {end}"
@@ -182,7 +182,7 @@ def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
 
 
 def test_metrics_come_as_json(monkeypatch, capsys):
-    monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE._replace(name=name) for name in names])
+    monkeypatch.setattr(command, "contend", lambda names, *_: [ABOVE._replace(name=name) for name in names])
     assert main(["one", "other", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == {"one", "other"}
@@ -198,7 +198,7 @@ def test_a_page_makes_its_folder_and_where_there_can_be_none_that_is_said_before
         assert capsys.readouterr().err == (
             f"uavnav compare: {out}: cannot be written ({why}); give a path that can be written\n"
         )
-    monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE, BELOW])
+    monkeypatch.setattr(command, "contend", lambda names, *_: [ABOVE, BELOW])
     monkeypatch.setattr(command, "page", lambda contenders: b"a page")
     assert main(["one", "other", "--out", str(tmp_path / "new" / "folder" / "page.html")]) == 0
     assert (tmp_path / "new" / "folder" / "page.html").read_bytes() == b"a page"

@@ -149,7 +149,7 @@ def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, messa
     ids=["ppo", "dqn"],
 )
 def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, tmp_path, monkeypatch):
-    monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 3, 40, None, "drone"))
+    monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 3, 40, None, "drone", None, False))
     run = train(config, out=tmp_path / "run", quiet=True)
     evaluate_run(run, 2, 40)
     assert [name for name in (ARENA, VALUES) if (run.path / name).exists()] == []

@@ -330,7 +330,7 @@ def test_layout_files_of_one_name_and_other_obstacles_have_files_of_their_own(tm
 def test_another_number_of_episodes_cap_or_split_goes_to_its_own_file_and_replaces_no_other(
     small, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 4, 9, None, "drone", None))
+    monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 4, 9, None, "drone", None, False))
     run = Run(shutil.copytree(small.path, tmp_path / "run"))
     all_layouts = tmp_path / "own"
     layouts.save(layouts.generate(5, 4), all_layouts, seed=0, split="train")

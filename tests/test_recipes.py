@@ -35,7 +35,7 @@ SHORT = {
     "a2c": ["total_frames=1e3", "evaluate=false"],
     "sac": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
     "c51": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
-    "pqn": ["total_frames=1e3", "n_envs=16", "frames_per_batch=512", "epochs=1", "evaluate=false"],
+    "pqn": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
 }
 
 

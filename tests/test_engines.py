@@ -21,7 +21,7 @@ from uavnav.runs import Run
 STUDY = """
 what: two configurations of eight seeds
 settings:
-  {n_seeds: 8, total_frames: 12000, hidden: [8], compile: "off", max_steps: 300,
+  {preset: vectorised, n_seeds: 8, total_frames: 12000, hidden: [8], compile: "off", max_steps: 300,
    evaluate: {episodes: 3, max_steps: 50}}
 configurations:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}

@@ -399,11 +399,39 @@ def test_only_two_states_are_kept_and_a_chunk_is_written_once(whole, tmp_path, m
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 COMMANDS = {
-    "ppo": ["total_frames=8192", "frames_per_batch=512", "epochs=4", "n_seeds=2", "compile=off"],
-    "dqn": ["total_frames=6144", "learning_starts=512", "frames_per_update=8", "n_seeds=2", "compile=off"],
-    "a2c": ["total_frames=24576", "n_seeds=2", "compile=off"],
-    "c51": ["total_frames=3072", "learning_starts=512", "n_atoms=11", "n_seeds=2", "compile=off"],
-    "sac": ["total_frames=3072", "learning_starts=512", "frames_per_update=8", "n_seeds=2", "compile=off"],
+    "ppo": [
+        "preset=vectorised",
+        "total_frames=8192",
+        "frames_per_batch=512",
+        "epochs=4",
+        "n_seeds=2",
+        "compile=off",
+    ],
+    "dqn": [
+        "preset=vectorised",
+        "total_frames=6144",
+        "learning_starts=512",
+        "frames_per_update=8",
+        "n_seeds=2",
+        "compile=off",
+    ],
+    "a2c": ["preset=vectorised", "total_frames=24576", "n_seeds=2", "compile=off"],
+    "c51": [
+        "preset=vectorised",
+        "total_frames=3072",
+        "learning_starts=512",
+        "n_atoms=11",
+        "n_seeds=2",
+        "compile=off",
+    ],
+    "sac": [
+        "preset=vectorised",
+        "total_frames=3072",
+        "learning_starts=512",
+        "frames_per_update=8",
+        "n_seeds=2",
+        "compile=off",
+    ],
 }
 
 

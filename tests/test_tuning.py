@@ -34,7 +34,8 @@ what: two settings of two algorithms
 tune:
   trials: 14
   at_once: 3
-  settings: {preset: vectorised, activation: tanh, n_seeds: 2, total_frames: 2000, evaluate: {episodes: 5, max_steps: 50}}
+  settings: {preset: vectorised, activation: tanh, n_seeds: 2, total_frames: 2000,
+    evaluate: {episodes: 5, max_steps: 50}}
   ranges: {rate: {low: 1.0e-5, high: 1.0e-2, log: true}, width: [32, 64, 128], passes: {low: 1, high: 20}}
   space:
     ppo: {lr: rate, hidden: width, epochs: passes}

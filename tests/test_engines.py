@@ -13,10 +13,9 @@ import pytest
 
 from uavnav.evaluation import evaluate_run
 from uavnav.evaluation.verify import _parting as parting
-from uavnav.evaluation.verify import _weights as weights
+from uavnav.evaluation.verify import _weights, verify
 from uavnav.evaluation.verify import _weights_parting as weights_parting
-from uavnav.evaluation.verify import verify
-from uavnav.runs import Run
+from uavnav.runs import POLICY, Run
 
 STUDY = """
 what: two configurations of eight seeds
@@ -118,7 +117,9 @@ def assert_same_bits(out, alone, configurations=("ppo/tanh",)):
         there, here = Run(alone / configuration), Run(out / configuration)
         assert not parting("episodes", there.episodes, here.episodes)
         assert not parting("progress", there.progress, here.progress)
-        (mine, seeds), (theirs, others) = weights(alone / configuration), weights(out / configuration)
+        (mine, seeds), (theirs, others) = (
+            _weights(where / configuration, [POLICY]) for where in (alone, out)
+        )
         assert seeds == others
         assert not weights_parting(mine, theirs)
         for name in ("evaluation-test-3-50.parquet", "behaviour-test-3-50.parquet"):

@@ -33,13 +33,13 @@ from uavnav.algorithms import dqn, ppo
 from uavnav.evaluation import evaluate_run
 from uavnav.report import report
 from uavnav.report.claims import CLAIMS
-from uavnav.report.page import SECTIONS
+from uavnav.report.page import FURTHER, SECTIONS
 from uavnav.report.verdicts import GRADES
 
 pytestmark = pytest.mark.slow
 
 RESULTS = Path(__file__).parent.parent / "results"
-SHOWN = {name: title for name, title in SECTIONS.items() if name not in ("algorithms", "worlds")}
+SHOWN = {name: title for name, title in SECTIONS.items() if name not in ("algorithms", "worlds", *FURTHER)}
 """Sections of a report without further studies."""
 
 SMALL = {"preset": "vectorised", "total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}

@@ -364,7 +364,6 @@ def test_what_does_not_fly_loads_no_torch():
         "frames",
         "tables",
         "quotes",
-        "curves",
         "charts",
         "arena",
     )

@@ -12,7 +12,7 @@ from runs_by_hand import behaved, found, rows, trained, two, write_run
 from uavnav.report import Written, _write_all, report
 from uavnav.report.claims import PRIMARY
 from uavnav.report.content import gather
-from uavnav.report.page import SECTIONS, contents, markdown, sections
+from uavnav.report.page import FURTHER, SECTIONS, contents, markdown, sections
 from uavnav.runs.definitions import ALL, TOTALS
 from uavnav.runs.metrics import METRICS, Metric
 from uavnav.runs.tables import RunError
@@ -122,7 +122,7 @@ def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
     page = written.path.read_text()
     assert page.count("data:image/svg+xml,") == 2 * len(drawn)  # for a page and for a phone
     there = {section for section in SECTIONS if f'id="{section}"' in page}
-    assert there == {*SECTIONS} - {"worlds"}
+    assert there == {*SECTIONS} - {"worlds", *FURTHER}
     text = (out / "report.md").read_text()
     for picture in re.findall(r"]\((figures/[^)]*)\)", text):
         assert (out / picture).is_file()
@@ -195,7 +195,7 @@ def test_a_third_algorithm_leaves_the_claims_as_they_are(whole, undrawn):
     without = gather([path / name for name in ("dqn", "ppo", "short")])
     assert repr(with_it.audits) == repr(without.audits)
     assert with_it.missing == without.missing
-    assert {*SECTIONS} - {*dict(sections(without))} == {"algorithms", "worlds"}
+    assert {*SECTIONS} - {*dict(sections(without))} == {"algorithms", "worlds", *FURTHER}
 
 
 def test_a_third_algorithm_has_its_configurations_and_tables_behind_the_papers(whole):

@@ -19,7 +19,7 @@ import yaml
 from pages import ALL, DOCS, MINE, PAGES, ROOT, blocks
 
 import uavnav
-from uavnav import networks
+from uavnav import networks, plugins
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
@@ -289,6 +289,9 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_pat
     if any("my_activation" in command for command in lines):
         (tmp_path / "my_activation.py").write_text(blocks(ALL[page], "python")[0])
         monkeypatch.setitem(networks.ACTIVATIONS, "cube", torch.sign)  # taken back at the end
+        monkeypatch.setattr(plugins, "LOADED", dict(plugins.LOADED))
+        tables = {name: (table, dict(known)) for name, (table, known) in plugins.TABLES.items()}
+        monkeypatch.setattr(plugins, "TABLES", tables)
     for command in lines:
         targets = command.startswith("make ") and command != "make train"  # hours, minutes, or this suite
         if not targets and command not in EXEMPT:

@@ -40,7 +40,7 @@ tune:
   space:
     ppo: {lr: rate, hidden: width, epochs: passes}
     a2c: {lr: rate, hidden: width}
-settings: {preset: vectorised, seed: 100, n_seeds: 3, total_frames: 4000}
+settings: {seed: 100, preset: vectorised, n_seeds: 3, total_frames: 4000}
 configurations:
   - {algorithm: [ppo, a2c], folder: tuning/default}
 """
@@ -339,7 +339,7 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
             "tune: settings: evaluate=false; a trial is",
         ),
         (
-            ("{seed: 100, n", "{seed: 1, n"),
+            ("{seed: 100, ", "{seed: 1, "),
             "tune: ppo: seed=1 is of trials and of what they are compared in; give",
         ),
         (

@@ -1,7 +1,7 @@
 """Train PQN to fly the drone and compare it with the paper: the same as `uavnav train pqn`.
 
     python recipes/pqn.py activation=tanh
-    python recipes/pqn.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu
+    python recipes/pqn.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu
     out=runs/mine python recipes/pqn.py -m activation=sigmoid,leaky_relu
 
 `python recipes/pqn.py --help` says what each key means.

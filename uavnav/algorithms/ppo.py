@@ -12,7 +12,7 @@ Letters: A agents, W environments an agent, T steps of a rollout.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -37,6 +37,8 @@ from uavnav.training.update import Adam, Learner
 __all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
 
 HOW = ALGORITHMS["ppo"]
+LEARNED = ("observation", "action", "action_log_prob", "advantage", "value_target")
+"""What `PPOLoss` is given of a step."""
 
 
 class PPOConfig(TrainConfig):
@@ -178,11 +180,13 @@ def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advanta
     advantage(batch)
 
 
-def minibatches(batch: TensorDictBase, orders: Streams, size: int) -> TensorDictBase:
+def minibatches(
+    batch: TensorDictBase, orders: Streams, size: int, keys: Sequence[str] = LEARNED
+) -> TensorDictBase:
     """An epoch's minibatches [A, M, size]: the rows of a rollout [A, W, T], each agent's in an order of
-    its own.
+    its own; keys: of what a loss is given.
     """
-    rows = batch.select("observation", "action", "action_log_prob", "advantage", "value_target").flatten(1, 2)
+    rows = batch.select(*keys).flatten(1, 2)
     n_agents, n = rows.shape
     order = orders.draw(torch.randperm, n, device=rows["action"].device)
     first = n * torch.arange(n_agents, device=order.device)[:, None]

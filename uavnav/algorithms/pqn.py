@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.ppo import make_advantage
+from uavnav.algorithms.ppo import make_advantage, minibatches
 from uavnav.errors import ConfigError
 from uavnav.networks import mlp
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
@@ -34,6 +34,8 @@ from uavnav.training.update import Adam, Learner
 __all__ = ["PQN", "PRESETS", "PQNConfig", "train"]
 
 HOW = ALGORITHMS["pqn"]
+LEARNED = ("observation", "action", "value_target")
+"""What `PQNLoss` is given of a step."""
 
 
 class PQNConfig(TrainConfig):
@@ -120,16 +122,6 @@ class PQNLoss(nn.Module):
         return {"loss": (chosen - batch["value_target"]).square() / 2}
 
 
-def minibatches(batch: TensorDictBase, orders: Streams, size: int) -> TensorDictBase:
-    """An epoch's minibatches [A, M, size]: the rows of a rollout [A, W, T], each agent's in an order of
-    its own.
-    """
-    rows = batch.select("observation", "action", "value_target").flatten(1, 2)
-    order = orders.draw(torch.randperm, rows.shape[1], device=rows["action"].device)
-    agent = torch.arange(len(order), device=order.device)[:, None]
-    return rows[agent, order].reshape(len(order), -1, size)
-
-
 class PQN:
     """All seeds' agents, as the training loop needs them."""
 
@@ -156,7 +148,7 @@ class PQN:
                 rows["state_value"] = self.network(rows["observation"]).amax(-1, keepdim=True)
             self.targets(batch)
         epochs = [
-            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size))
+            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size, LEARNED))
             for _ in range(config.epochs)
         ]
         return {

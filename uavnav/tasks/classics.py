@@ -119,8 +119,8 @@ def dwa(
 
     An action is an arc of turn / distance [degrees a px]. It is worth heading x (1 - angle to the target /
     180) + clear x (share of 90 px of the arc that are free) + speed x distance / the greatest, their eq.
-    (13). Admissible is what cannot touch a body in this step, whatever its size and is no
-    full stop. A body is taken for a circle of `body` px. What moves is taken as if it stood still.
+    (13). Admissible is what cannot touch a body in this step, whatever the body's size, and is no full stop.
+    A body is taken for a circle of `body` px. What moves is taken as if it stood still.
     """
     slots, (goal, _) = seen(observation, world), target(observation, world)
     each, arcs = moves(world), _arcs(world)

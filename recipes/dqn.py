@@ -19,7 +19,7 @@ from torchrl.objectives import HardUpdate
 
 from uavnav.acting import Actor
 from uavnav.algorithms.dqn import diagnostics, make_loss, make_network, renews_target
-from uavnav.algorithms.replay import Replay
+from uavnav.algorithms.replay import make_replay
 from uavnav.runs import Run
 from uavnav.training import probes
 from uavnav.training.display import Tell
@@ -46,17 +46,7 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     copy_to_target = HardUpdate(loss, value_network_update_interval=0)
 
     # buffer: transitions (s, a, R, s'), from which each seed draws its own
-    capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
-    replay = Replay(
-        config.seeds,
-        capacity,
-        config.n_envs,
-        config.observation_size,
-        next_too,
-        config.n_steps,
-        config.gamma,
-        config.device,
-    )
+    replay = make_replay(config)
 
     # update: Adam on each seed's own gradient, whose norm is clipped
     adam = Adam(config.lr, config.adam_eps)

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 
 from uavnav.acting import Actor
 from uavnav.algorithms.dqn import DQNConfig, make_network, train
-from uavnav.algorithms.replay import Replay
+from uavnav.algorithms.replay import make_replay
 from uavnav.envs.gym import DroneVectorEnv
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.world import World
@@ -68,8 +68,8 @@ def watch(config, folder):
     seen = SimpleNamespace(epsilons=[], minibatches=[], losses=[], learned=[])
     step, draw, checkpoint = Learner.step, Actor.draw, Recorder.checkpoint
 
-    def watch_replay(*given):
-        seen.replay = Replay(*given)
+    def watch_replay(config):
+        seen.replay = make_replay(config)
         return seen.replay
 
     def watch_step(self, minibatch):
@@ -87,7 +87,7 @@ def watch(config, folder):
         checkpoint(self, frames, parts, replay)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavnav.algorithms.dqn.Replay", watch_replay)
+        patch.setattr("uavnav.algorithms.dqn.make_replay", watch_replay)
         patch.setattr("uavnav.algorithms.replay.LOG_FRAMES", 32)
         patch.setattr(Learner, "step", watch_step)
         patch.setattr(Actor, "draw", watch_draw)

@@ -23,7 +23,7 @@ from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
 from uavnav.acting import Actor, Values, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.replay import Replay, ReplayConfig
+from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
 from uavnav.networks import mlp
 from uavnav.settings import AtLeast0, Count, Share, key
 from uavnav.tasks.seeding import stream
@@ -191,17 +191,7 @@ class DQN:
         acts = ALGORITHMS[config.algorithm].acts
         self.actor = Actor(self.network, config.seeds, acts, config.head, compile, epsilon=config.epsilon)
         self.copy_to_target = HardUpdate(self.loss, value_network_update_interval=0)
-        capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
-        self.transitions = Replay(
-            config.seeds,
-            capacity,
-            config.n_envs,
-            config.observation_size,
-            next_too,
-            config.n_steps,
-            config.gamma,
-            config.device,
-        )
+        self.transitions = make_replay(config)
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)

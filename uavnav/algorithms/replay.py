@@ -193,6 +193,20 @@ class Replay:
         return TensorDict(found, places.shape[:-1])
 
 
+def make_replay(config: ReplayConfig) -> Replay:
+    """The ring of a run, no larger than the run is long."""
+    return Replay(
+        config.seeds,
+        min(config.buffer_size, config.frames),
+        config.n_envs,
+        config.observation_size,
+        config.keeps_next_observations,
+        config.steps_in_target,
+        config.gamma,
+        config.device,
+    )
+
+
 class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
     """TorchRL's storage of rows [A, F], whose memory is there from the beginning: a graph reads it."""
 

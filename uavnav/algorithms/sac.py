@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.replay import Replay, ReplayConfig
+from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
 from uavnav.networks import mlp
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
 from uavnav.tasks.seeding import stream
@@ -162,11 +162,7 @@ class SAC:
         self.policy, self.twins = make_networks(config)
         self.loss = SACLoss(self.policy, self.twins, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
-        capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
-        inputs = config.observation_size
-        self.transitions = Replay(
-            config.seeds, capacity, config.n_envs, inputs, next_too, device=config.device
-        )
+        self.transitions = make_replay(config)
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)

@@ -296,7 +296,7 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
     ):
         load_policy(path)
     with pytest.raises(
-        PolicyError, match=r"unknown activation 'Tanh'; did you mean tanh\? choose from elu, "
+        PolicyError, match=r"unknown activation 'Tanh'; did you mean tanh\? choose from crelu, elu, "
     ):
         load_policy(path, activation="Tanh")
     with pytest.raises(

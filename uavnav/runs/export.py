@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from uavnav.acting import Values
 from uavnav.algorithms import ALGORITHMS
@@ -64,9 +64,7 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
 
 def _program(policy: Policy) -> torch.export.ExportedProgram:
     """The policy's network as a graph over any number of rows."""
-    layers = [
-        _linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()
-    ]
+    layers = [_alone(layer) for layer in policy.network.children()]
     rows = torch.zeros(2, policy.task.observation_size)
     shapes = ({0: torch.export.Dim("rows")},)
     program = torch.export.export(
@@ -79,8 +77,22 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
     return program
 
 
-def _linear(layer: AgentLinear) -> nn.Linear:
-    """The one agent's layer as PyTorch's own."""
+class _Alone(nn.Module):
+    """A layer of one agent, without the agent axis: [N, ...] -> [N, ...]."""
+
+    def __init__(self, layer: nn.Module) -> None:
+        super().__init__()
+        self.layer = layer
+
+    def forward(self, x: Tensor) -> Tensor:
+        found: Tensor = self.layer(x[None])
+        return found[0]
+
+
+def _alone(layer: nn.Module) -> nn.Module:
+    """The one agent's layer; a linear one as PyTorch's own, and a function as it is."""
+    if not isinstance(layer, AgentLinear):
+        return _Alone(layer) if len([*layer.parameters()]) else layer
     result = nn.Linear(*layer.weight.shape[1:])
     result.load_state_dict({"weight": layer.weight[0].T, "bias": layer.bias[0, 0]})
     return result

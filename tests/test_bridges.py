@@ -292,7 +292,8 @@ def test_only_the_weights_of_a_zip_are_read(algorithm, tmp_path, monkeypatch):
 def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
     path = zipped(tmp_path / "model.zip", {"policy.pth": pth(weights())})
     with pytest.raises(
-        PolicyError, match=r"it does not tell the activation; give activation=\.\.\., one of elu, .*tanh"
+        PolicyError,
+        match=r"it does not tell the activation; give activation=\.\.\., one of crelu, elu, .*tanh",
     ):
         load_policy(path)
     with pytest.raises(

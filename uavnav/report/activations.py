@@ -20,7 +20,7 @@ from uavnav import stats, style
 from uavnav.report.apart import flights
 from uavnav.report.configurations import one_line
 from uavnav.report.frames import name
-from uavnav.report.verdicts import ALPHA
+from uavnav.report.verdicts import ALPHA, SEEDS
 from uavnav.runs import Run
 from uavnav.runs.definitions import per_frame
 from uavnav.runs.tables import RunError
@@ -98,13 +98,10 @@ def _place(where: Where) -> tuple[bool, bool, int]:
 
 
 def _of(measured: Measured, algorithm: str, layer_norm: bool, measure: str) -> list[Array]:
-    """The seeds of each of `COMPARED`; empty where one is missing."""
-    found = [measured.get(Where(algorithm, layer_norm, one), {}).get(measure) for one in COMPARED]
-    return [seeds for seeds in found if seeds is not None] if all(map(_known, found)) else []
-
-
-def _known(seeds: Array | None) -> bool:
-    return seeds is not None and len(seeds) > 1
+    """The seeds of each of `COMPARED`; empty where one has too few."""
+    none = np.empty(0)
+    found = [measured.get(Where(algorithm, layer_norm, one), {}).get(measure, none) for one in COMPARED]
+    return found if min(map(len, found)) >= SEEDS else []
 
 
 def judged(measured: Measured) -> Table:

@@ -60,12 +60,7 @@ SECTIONS = {
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-FURTHER = {
-    "longer": longer.STUDY,
-    "ambiguities": ambiguities.DRAWS,
-    "noise": noise.STUDY,
-    "activations": activations.STUDY,
-}
+FURTHER = {one.STUDY: one.STUDY for one in (longer, noise, activations)} | {"ambiguities": ambiguities.DRAWS}
 """Sections of further studies, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what replicates of the paper"
 """Of a report on other runs than the study's."""

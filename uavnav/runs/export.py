@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from uavnav.acting import Values
 from uavnav.algorithms import ALGORITHMS
@@ -77,22 +77,11 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
     return program
 
 
-class _Alone(nn.Module):
-    """A layer of one agent, without the agent axis: [N, ...] -> [N, ...]."""
-
-    def __init__(self, layer: nn.Module) -> None:
-        super().__init__()
-        self.layer = layer
-
-    def forward(self, x: Tensor) -> Tensor:
-        found: Tensor = self.layer(x[None])
-        return found[0]
-
-
 def _alone(layer: nn.Module) -> nn.Module:
-    """The one agent's layer; a linear one as PyTorch's own, and a function as it is."""
+    """The one agent's layer [N, ...] -> [N, ...]; a linear one as PyTorch's own, and a function as it is."""
     if not isinstance(layer, AgentLinear):
-        return _Alone(layer) if len([*layer.parameters()]) else layer
+        learns = any(True for _ in layer.parameters())
+        return nn.Sequential(nn.Unflatten(0, (1, -1)), layer, nn.Flatten(0, 1)) if learns else layer
     result = nn.Linear(*layer.weight.shape[1:])
     result.load_state_dict({"weight": layer.weight[0].T, "bias": layer.bias[0, 0]})
     return result

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import torch
@@ -85,7 +85,7 @@ class Rational(Layer):
         return above / (below * x.abs() + 1)
 
 
-ACTIVATIONS: dict[str, Callable[[Tensor], Tensor] | type[Layer]] = {
+ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "relu": F.relu,  # eq. (5)
     "leaky_relu": F.leaky_relu,  # eq. (6), slope 0.01
     "sigmoid": torch.sigmoid,  # eq. (7)
@@ -172,7 +172,9 @@ class Activation(nn.Module):
         if not among(name, ACTIVATIONS):
             raise ValueError(f"activation={quoted(name)}; {choose_from(name, ACTIVATIONS)}")
         self.name, self.layer_norm, self.units = name, layer_norm, units
-        self.layer, self.parallel, entry = None, 1, ACTIVATIONS[name]
+        self.layer: Layer | None = None
+        self.parallel = 1
+        entry: Any = ACTIVATIONS[name]
         generators = [torch.Generator()] if generators is None else generators
         try:
             if isinstance(entry, type):
@@ -194,7 +196,7 @@ class Activation(nn.Module):
     def function(self, x: Tensor) -> Tensor:
         """[A, ..., parallel U] -> [A, ..., width], without LayerNorm."""
         if self.layer is None:
-            return ACTIVATIONS[self.name](x)
+            return cast(Tensor, ACTIVATIONS[self.name](x))
         found: Tensor = self.layer(x[:, None] if x.ndim == 2 else x.flatten(1, -2))
         return found.reshape(*x.shape[:-1], found.shape[-1])
 

@@ -736,7 +736,7 @@ CASES = [
         "an unknown activation",
         facts(activation="rleu"),
         "unknown activation 'rleu'",
-        "choose from elu, gelu",
+        "choose from crelu, elu",
     ),
     policy(
         "an unknown algorithm", facts(algorithm="trpo"), "unknown algorithm 'trpo'", f"choose from {KNOWN}"
@@ -1095,7 +1095,7 @@ CASES = [
     config({"batch_size": 3}, "choose from", "there is no key 'batch_size'"),
     config({"epochs": 3}, "choose from", "there is no key 'epochs'", "dqn"),
     config({"preset": "papr"}, "did you mean paper?"),
-    config({"activation": "rleu"}, "choose from elu, gelu"),
+    config({"activation": "rleu"}, "choose from crelu, elu"),
     *(config(settings, right) for right, several in REFUSED.items() for settings in several),
     config({"reward": "eq15"}, "choose from additive, eq14, goal, initial"),
     config({"world": {"slots": "first"}}, "choose from listed, nearest"),
@@ -1314,7 +1314,7 @@ CASES = [
     word("ppo --n-seeds=4", "there is no flag --n-seeds; ", "settings are key=value: n_seeds=4"),
     word("ppo --helpp", "there is no flag --helpp", "(did you mean --help?); settings are key=value"),
     word("ppo --cfg everything", "--cfg/-c: everything: choose from job", "uavnav train --help says more"),
-    word("ppo activation=rleu --cfg job", "activation=rleu; ", "choose from elu"),
+    word("ppo activation=rleu --cfg job", "activation=rleu; ", "choose from crelu"),
     word("ppo activation=tanh,relu", "activation: give one value", "or -m to train with each in turn"),
     word("ppo activation=tanh,relu -m out=one", "out=one: two runs of the sweep", "name what differs"),
     # ladders, worlds of others, and what is compared
@@ -1382,7 +1382,9 @@ CASES = [
         )
     ),
     word(
-        "evaluate theirs.zip --activation rleu", "theirs.zip: unknown activation 'rleu'", "choose from elu, "
+        "evaluate theirs.zip --activation rleu",
+        "theirs.zip: unknown activation 'rleu'",
+        "choose from crelu, ",
     ),
     word(
         "evaluate nowhere.zip --activation relu",

@@ -106,8 +106,9 @@ def test_actions_of_32_bits_come_back_as_64():
         assert (actions.dtype, actions[:3].tolist()) == (torch.int64, [0, 1, 2])
 
 
-def test_stacked_networks_give_what_each_gives():
-    ones = [network(seed, layer_norm=True) for seed in range(3)]
+@pytest.mark.parametrize("activation", ["tanh", "rational"])
+def test_stacked_networks_give_what_each_gives(activation):
+    ones = [network(seed, activation=activation, layer_norm=True) for seed in range(3)]
     seen = torch.rand(3, 5, 30)
     whole = stacked(ones)
     assert made_of(whole) == made_of(ones[0])

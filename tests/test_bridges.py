@@ -292,11 +292,12 @@ def test_only_the_weights_of_a_zip_are_read(algorithm, tmp_path, monkeypatch):
 def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
     path = zipped(tmp_path / "model.zip", {"policy.pth": pth(weights())})
     with pytest.raises(
-        PolicyError, match=r"it does not tell the activation; give activation=\.\.\., one of elu, .*tanh"
+        PolicyError,
+        match=r"it does not tell the activation; give activation=\.\.\., one of crelu, elu, .*tanh",
     ):
         load_policy(path)
     with pytest.raises(
-        PolicyError, match=r"unknown activation 'Tanh'; did you mean tanh\? choose from elu, "
+        PolicyError, match=r"unknown activation 'Tanh'; did you mean tanh\? choose from crelu, elu, "
     ):
         load_policy(path, activation="Tanh")
     with pytest.raises(

@@ -27,7 +27,7 @@ from uavnav.tasks.world import World
 from uavnav.training.config import plain
 
 WRONG = [
-    ({"activation": "rleu"}, "activation=rleu; did you mean relu? choose from elu, .*"),
+    ({"activation": "rleu"}, "activation=rleu; did you mean relu? choose from crelu, elu, .*"),
     ({"activation": 3}, "activation=3; give a name"),
     ({"activation": None}, "activation=None; give a name"),
     ({"activatoin": "relu"}, "key 'activatoin'; did you mean activation? choose from .*activation"),

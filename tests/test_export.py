@@ -17,7 +17,7 @@ from torch import nn
 from uavnav import PolicyError, RunError, load_policy
 from uavnav.acting import HEADS
 from uavnav.algorithms import dqn, ppo
-from uavnav.networks import ACTIVATIONS, Activation, mlp
+from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import export
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import Policy
@@ -55,8 +55,8 @@ def exported(run, tmp_path_factory):
 
 def untrained(activation):
     """A network whose values differ by more than rounding."""
-    kind = functools.partial(Activation, activation)
-    return nn.Sequential(nn.Linear(30, 64), kind(), nn.Linear(64, 64), kind(), nn.Linear(64, 100))
+    network = mlp([30, 64, 64, 100], activation, [torch.Generator().manual_seed(0)], "default")
+    return nn.Sequential(*map(export._alone, network))
 
 
 def by_onnxruntime(path, observation):

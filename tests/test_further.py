@@ -1,14 +1,15 @@
-"""The studies `longer`, `noise` and `ambiguities`: their tables of made-up rows with known answers."""
+"""Studies that lie apart: their tables of made-up rows with known answers."""
 
 import numpy as np
 import pandas as pd
 import pytest
 from runs_by_hand import rows, write_run
+from scipy import special
 
 from uavnav import stats, studies
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
-from uavnav.report import ambiguities, longer, noise
+from uavnav.report import activations, ambiguities, longer, noise
 from uavnav.report.longer import Where
 from uavnav.runs import Run, draws, paper, trials
 from uavnav.studies import search
@@ -98,7 +99,7 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
 
 
 def test_folders_without_these_studies_have_no_tables(tmp_path):
-    assert [study.gather([tmp_path]) for study in (longer, noise, ambiguities)] == [({}, [])] * 3
+    assert [study.gather([tmp_path]) for study in (longer, noise, ambiguities, activations)] == [({}, [])] * 4
 
 
 def test_mahalanobis_distance_by_hand():
@@ -219,3 +220,81 @@ def test_the_tuned_settings_of_longer_training_are_those_of_the_best_trials():
         if one.config.algorithm == "dqn":
             same |= {"exploration_fraction": best.exploration_fraction / 10}
         assert one.config == best.replace(**same, keep_at=[0.1, 0.3])
+
+
+SEEDS = np.array([-1.0, 1.0] * 10)
+"""Deviations of twenty seeds, whose mean's standard error is 0.229."""
+NINE = activations.COMPARED
+
+
+def activations_at(means, scatter=1.0, layer_norm=True, algorithms=("ppo", "dqn")):
+    """The nine activations with these means, of both measures."""
+    return {
+        activations.Where(algorithm, layer_norm, name): dict.fromkeys(
+            (activations.REWARD, activations.FINAL), mean + scatter * SEEDS
+        )
+        for algorithm in algorithms
+        for name, mean in zip(NINE, means, strict=True)
+    }
+
+
+@pytest.mark.parametrize(
+    ("means", "scatter", "verdict"),
+    [
+        ([30 + 0.1 * place for place in range(9)], 1.0, "irrelevant"),  # 0.8 apart, of 5.3 that would matter
+        ([30.0] * 8 + [20.0], 1.0, "relevant"),
+        ([30.0] * 8 + [25.0], 1.0, "open"),  # apart, perhaps by more than 5.3
+        ([30.0] * 9, 20.0, "open"),  # seeds scatter too much to tell
+        ([30.0] * 8 + [20.0], 20.0, "open"),
+    ],
+)
+def test_the_choice_is_irrelevant_within_the_margin_relevant_beyond_it_and_else_open(means, scatter, verdict):
+    table = activations.judged(activations_at(means, scatter)).set_index(
+        ["algorithm", "measure", "layer_norm"]
+    )
+    found = table.loc[("ppo", activations.REWARD, True)]
+    assert (found["verdict"], found["margin"], found["n"]) == (verdict, 5.3, 20)
+    assert found["value"] == pytest.approx(max(means) - min(means))
+    assert table.loc[("ppo", activations.REWARD, False), ["verdict", "n"]].tolist() == ["open", 0]  # no runs
+
+
+def test_the_largest_difference_has_the_interval_of_all_72_ordered_pairs():
+    row = activations.widest([mean + SEEDS for mean in (30.0, 20.0, *[25.0] * 7)], 5.3)
+    assert row[:3] == ["relevant", "relu", "leaky_relu"]
+    t = special.stdtrit(38, 1 - 0.05 / 72)
+    half = t * np.sqrt(2 * 20 / 19 / 20)
+    assert row[3:] == pytest.approx([10.0, 10 - half, 10 + half])
+
+
+def test_one_missing_activation_leaves_the_question_open_and_no_order_is_compared():
+    measured = activations_at([30.0] * 9)
+    del measured[activations.Where("dqn", True, "silu")]
+    table = activations.judged(measured).query("algorithm == 'dqn'")
+    assert {*table["verdict"]} == {"open"}
+    assert len(activations.carried(measured)) == 0
+
+
+def test_an_order_that_dqn_turns_round_has_a_rank_correlation_of_minus_1():
+    up = [10.0 * place for place in range(9)]
+    measured = activations_at(up, algorithms=["ppo"]) | activations_at(up[::-1], algorithms=["dqn"])
+    found = activations.carried(measured).set_index("measure")
+    assert found.loc[activations.REWARD, ["value", "low", "high"]].tolist() == [-1, -1, -1]
+
+
+def test_runs_of_the_study_become_means_over_seeds_of_training_final_policies_and_probes(tmp_path):
+    protocol = Protocol("test", 2, 9, "none")
+    evaluated(
+        tmp_path / "activations/layer_norm=True/ppo/crelu", 5.0, protocol, activation="crelu", layer_norm=True
+    )
+    path = tmp_path / "activations/layer_norm=True/ppo/crelu/progress.parquet"
+    seeds, frames = [0, 1] * 2, [900, 900, 1000, 1000]
+    pd.DataFrame({"seed": seeds, "frame": frames, "dormant": [9, 9, 0.25, 0.75]}).to_parquet(path)
+    tables, left_out = activations.gather([tmp_path])
+    assert left_out == []
+    found = tables["activations"].set_index("measure")["value"]
+    assert found.to_dict() == pytest.approx(
+        {activations.REWARD: 2 * 5.5, activations.FINAL: 5.5, "dormant [share]": 0.5}
+    )
+    assert {*tables["activations"]["configuration"]} == {"PPO crelu, LayerNorm"}
+    drawn = activations.figure(tables["activations"])
+    assert "PPO with LayerNorm, crelu 11.0" in drawn.alt

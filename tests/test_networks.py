@@ -1,12 +1,15 @@
 """Networks over the agent axis: each agent is an ordinary MLP, initialised from its own generator."""
 
+import itertools
 import math
 
 import pytest
 import torch
 from torch import nn
 
-from uavnav.networks import ACTIVATIONS, KNOWN, Activation, AgentLinear, mlp, unit_gain
+from uavnav import studies
+from uavnav.errors import ConfigError
+from uavnav.networks import ACTIVATIONS, KNOWN, Activation, AgentLinear, Layer, mlp, unit_gain
 from uavnav.runs.paper import TABLES
 from uavnav.tasks.seeding import stream
 
@@ -42,9 +45,10 @@ def test_each_of_three_agents_is_an_ordinary_mlp(init):
 
 
 @pytest.mark.parametrize("init", ["orthogonal", "default"])
-def test_an_agent_is_the_same_in_any_population(init):
-    alone = mlp([30, 64, 100], "relu", generators(4), init)
-    among = mlp([30, 64, 100], "relu", generators(9, 4, 7), init)
+@pytest.mark.parametrize("activation", ["relu", "hadamard"])
+def test_an_agent_is_the_same_in_any_population(init, activation):
+    alone = mlp([30, 64, 100], activation, generators(4), init)
+    among = mlp([30, 64, 100], activation, generators(9, 4, 7), init)
     for a, b in zip(alone.parameters(), among.parameters(), strict=True):
         assert torch.equal(a[0], b[1])
         assert not torch.equal(b[0], b[1]) or not a.any()
@@ -86,9 +90,22 @@ PLAIN = {
 }
 
 
-def test_the_table_holds_the_papers_four_and_eleven_more():
-    assert set(ACTIVATIONS) >= set(KNOWN) == set(PLAIN)
-    assert len(PLAIN) == 15
+def rational(x, numerator, denominator):
+    above = sum(a * x**power for power, a in enumerate(numerator))
+    return above / (1 + sum(abs(b * x**power) for power, b in enumerate(denominator, start=1)))
+
+
+OTHERS = {  # of a row of numbers, and of what the agent has learned
+    "crelu": lambda x, *_: [max(0.0, one) for one in x] + [max(0.0, -one) for one in x],
+    "fourier": lambda x, *_: [*map(math.sin, x), *map(math.cos, x)],
+    "hadamard": lambda x, *_: [math.tanh(x[i]) * math.tanh(x[i + len(x) // 2]) for i in range(len(x) // 2)],
+    "rational": lambda x, *learned: [rational(one, *learned) for one in x],
+}
+
+
+def test_the_table_holds_the_papers_four_and_fifteen_more():
+    assert set(ACTIVATIONS) >= set(KNOWN) == {*PLAIN, *OTHERS}
+    assert (len(PLAIN), len(OTHERS)) == (15, 4)
     assert (
         {activation for _, activation in TABLES}
         == {"tanh", "sigmoid", "relu", "leaky_relu"}
@@ -103,11 +120,81 @@ def test_each_activation_is_its_formula(name):
     torch.testing.assert_close(Activation(name)(x), expected, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", OTHERS)
+def test_each_layer_is_a_slow_loop_over_agents_rows_and_units(name):
+    layer = Activation(name, units=3, generators=generators(0, 1))
+    with torch.no_grad():
+        for learned in layer.parameters():
+            learned.add_(0.3 * torch.randn(learned.shape, generator=torch.Generator().manual_seed(1)))
+    x = 3 * torch.randn(2, 4, 5, 3 * layer.parallel, generator=torch.Generator().manual_seed(0))
+    found = layer(x)
+    assert found.shape == (2, 4, 5, layer.width)
+    for agent, row, column in itertools.product(range(2), range(4), range(5)):
+        learned = [one[agent].flatten().tolist() for one in layer.parameters()]
+        expected = torch.tensor(OTHERS[name](x[agent, row, column].tolist(), *learned))
+        torch.testing.assert_close(found[agent, row, column], expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_rational_function_begins_within_0_03_of_a_leaky_relu_between_minus_3_and_3():
+    x = torch.linspace(-3, 3, 601)[None, :, None]
+    off = (Activation("rational")(x) - torch.nn.functional.leaky_relu(x)).abs()
+    assert 0.029 < off.max() < 0.030
+
+
+def test_parallel_layers_begin_each_as_a_layer_of_its_own():
+    """An orthogonal 64 x 64 matrix has 64 singular values of 1; of a 128 x 64 one, halves would not."""
+    both = AgentLinear(64, 64, generators(0), "orthogonal", parallel=2).weight[0].mT.chunk(2)
+    for one in both:
+        torch.testing.assert_close(one @ one.mT, torch.eye(64), rtol=0, atol=1e-5)
+    assert not torch.equal(*both)
+
+
+def test_the_networks_of_the_study_have_nearly_the_same_number_of_parameters():
+    counts = {}
+    for one in studies.configurations(studies.read("activations"), studies.HERE):
+        sizes = [30, *one.config.hidden, 100]
+        network = mlp(sizes, one.config.activation, generators(0), "default")
+        counts[one.config.activation] = sum(part.numel() for part in network.parameters())
+    assert {name: counts.pop(name) for name in OTHERS} == {
+        "crelu": 12_580,
+        "fourier": 12_580,
+        "hadamard": 12_580,
+        "rational": 12_664,
+    }
+    assert counts == dict.fromkeys(("relu", "leaky_relu", "tanh", "sigmoid", "silu"), 12_644)
+
+
+class Flat(Layer):
+    def forward(self, x):
+        return x.flatten()
+
+
+@pytest.mark.parametrize(
+    ("entry", "says"),
+    [
+        (Flat, r"\[0, 1, 8\] became \[0, 1, 0\]"),
+        (nn.ReLU, "takes from 1 to 2"),
+        (lambda x: x.sum(-1), "became"),
+    ],
+)
+def test_what_cannot_be_an_activation_is_one_line_that_says_what_can(entry, says, monkeypatch):
+    monkeypatch.setitem(ACTIVATIONS, "mine", entry)
+    with pytest.raises(ConfigError, match=f"activation=mine: .*{says}.*; give a function of a tensor"):
+        mlp([30, 8, 100], "mine", [], "default")
+
+
 def test_an_unknown_activation_is_answered_with_the_choices():
     with pytest.raises(
-        ValueError, match=r"activation='rleu'; did you mean relu\? choose from elu, gelu, .*tanh"
+        ValueError, match=r"activation='rleu'; did you mean relu\? choose from crelu, elu, .*tanh"
     ):
         mlp([30, 64, 100], "rleu", generators(0), "default")
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_layers_have_the_unit_gain_of_the_mean_variance_of_what_they_give(name):
+    layer = Activation(name)
+    z = torch.randn(1, 100_000, layer.parallel, generator=torch.Generator().manual_seed(0))
+    assert abs(unit_gain(name) * layer(z)[0].var(0).mean().sqrt().item() - 1) < 0.02
 
 
 @pytest.mark.parametrize("name", sorted(PLAIN))

@@ -10,10 +10,11 @@ import pandas as pd
 import pytest
 import torch
 from browsing import RESULTS, ask
+from policies_by_hand import untrained
 
 from uavnav import load_policy
 from uavnav.acting import HEADS, values_of
-from uavnav.networks import ACTIVATIONS, KNOWN
+from uavnav.networks import ACTIVATIONS, BUILT_IN
 from uavnav.runs import paper
 from uavnav.runs.metrics import per_episode
 from uavnav.tasks import goal, layouts, slalom
@@ -23,6 +24,7 @@ from uavnav.tasks.sensing import sense
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.table import make_task, name_of
 from uavnav.tasks.world import World
+from uavnav.views.browser import playground
 
 pytestmark = pytest.mark.slow
 
@@ -291,7 +293,8 @@ def test_policies_choose_as_in_python_in_999_of_1000_poses_and_reactive_in_all(
 
 def test_every_activation_of_the_package_is_pytorchs_within_a_millionth(chrome, opened):
     x = torch.linspace(-8, 8, 161)
-    known = {name: ACTIVATIONS[name] for name in KNOWN}
+    layers = ask(chrome, "Object.keys(LAYERS)")
+    known = {name: ACTIVATIONS[name] for name in BUILT_IN if name not in layers}
     found = chrome.execute_script(
         "const [x] = arguments; const all = Object.entries(ACTIVATIONS);"
         "return Object.fromEntries(all.map(([name, act]) => [name, x.map((one) => act(one))]));",
@@ -305,6 +308,23 @@ def test_every_activation_of_the_package_is_pytorchs_within_a_millionth(chrome, 
         torch.tensor(ask(chrome, f"[...normalised(Float32Array.from({x.tolist()}))]")).sub(normal).abs().max()
         <= 1e-5
     )
+
+
+def test_networks_of_layers_give_what_they_give_in_python(chrome, opened):
+    """Each behind LayerNorm, with coefficients that are not those of the beginning."""
+    observation = torch.rand(30, generator=torch.Generator().manual_seed(1))
+    for name in ask(chrome, "Object.keys(LAYERS)"):
+        policy = untrained(activation=name, sizes=(30, 16, 12, 100), layer_norm=True)
+        with torch.no_grad():
+            for number, learned in enumerate(policy.network.parameters()):
+                learned.add_(
+                    0.2 * torch.randn(learned.shape, generator=torch.Generator().manual_seed(number))
+                )
+        code = "return [...network(arguments[0])(Float32Array.from(arguments[1])).values]"
+        found = torch.tensor(
+            chrome.execute_script(code, playground._packed(policy, "", 0), observation.tolist())
+        )
+        assert (found - policy.values(observation)).abs().max() <= 2e-5, name
 
 
 @pytest.mark.parametrize(

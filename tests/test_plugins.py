@@ -218,7 +218,7 @@ def test_a_recipe_without_the_flag_refuses_a_plugins_names_like_any_other(folder
     command = [sys.executable, ROOT / "recipes" / "ppo.py", "activation=hardswish"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr.startswith("uavnav train: activation=hardswish; choose from elu, ")
+    assert result.stderr.startswith("uavnav train: activation=hardswish; choose from crelu, elu, ")
     assert result.stderr.count("\n") == 1
 
 

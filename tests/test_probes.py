@@ -9,10 +9,9 @@ from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training import probes
 
 
-def network(activation, agents=2, hidden=4):
-    return mlp(
-        [3, hidden, hidden, 5], activation, [stream(seed, "probe test") for seed in range(agents)], "default"
-    )
+def network(activation, agents=2, hidden=4, **how):
+    generators = [stream(seed, "probe test") for seed in range(agents)]
+    return mlp([3, hidden, hidden, 5], activation, generators, "default", **how)
 
 
 def test_poses_are_512_observations_that_never_change_and_differ_from_each_other():
@@ -37,7 +36,16 @@ def test_a_unit_that_is_always_zero_is_dormant_and_its_agent_alone_has_it():
 
 
 @pytest.mark.parametrize(
-    ("activation", "bias", "expected"), [("tanh", 5.0, 1.0), ("sigmoid", 0.0, 0.0), ("identity", 9.0, 0.0)]
+    ("activation", "bias", "expected"),
+    [
+        ("tanh", 5.0, 1.0),
+        ("sigmoid", 0.0, 0.0),
+        ("identity", 9.0, 0.0),
+        ("crelu", -9.0, 0.0),  # one of its two sides is never flat
+        ("fourier", 0.785, 0.0),  # where sine and cosine have opposite slopes
+        ("hadamard", 5.0, 1.0),
+        ("rational", 1.0, 0.0),
+    ],
 )
 def test_saturated_is_the_share_of_flat_activations(activation, bias, expected):
     net = network(activation)
@@ -46,6 +54,33 @@ def test_saturated_is_the_share_of_flat_activations(activation, bias, expected):
             layer.weight[:] = 0.0
             layer.bias[:] = bias
     assert probes.units(net, torch.rand(50, 3))["saturated"].tolist() == [expected] * 2
+
+
+def test_a_product_is_saturated_only_where_both_of_its_layers_are():
+    net = network("hadamard", hidden=1)
+    with torch.no_grad():
+        for layer in (net[0], net[2]):
+            layer.weight[:] = 0.0
+            layer.bias[:] = torch.tensor([[[0.0, 5.0]], [[5.0, 5.0]]])
+    assert probes.units(net, torch.rand(50, 3))["saturated"].tolist() == [0, 1]
+
+
+def test_behind_layer_norm_saturated_is_of_normalised_values():
+    assert probes.units(network("identity", layer_norm=True), torch.rand(50, 3))["saturated"].tolist() == [
+        0,
+        0,
+    ]
+
+
+def test_each_coefficient_that_a_layer_learns_is_a_column():
+    net = network("rational")
+    with torch.no_grad():
+        net[3].layer.denominator[1, 2] = 7.0
+    found = probes.units(net, torch.rand(50, 3))
+    parts = [f"numerator_{k}" for k in range(6)] + [f"denominator_{k}" for k in range(4)]
+    assert [*found][3:] == [f"layer_{n}_{part}" for n in (1, 2) for part in parts]
+    assert found["layer_2_denominator_2"].tolist() == pytest.approx([0.8714712, 7.0])
+    assert [*probes.units(network("crelu"), torch.rand(50, 3))] == ["dormant", "saturated", "effective_rank"]
 
 
 @pytest.mark.parametrize(

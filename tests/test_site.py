@@ -304,7 +304,7 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_pat
 # -- snippets ------------------------------------------------------------------------------------------------
 
 
-ADDED = ("cube", "gentle", "slow")
+ADDED = ("cube", "gentle", "slow", "bend", "squares")
 """What the snippets add to the tables of the package."""
 
 

@@ -14,7 +14,7 @@ MOST = 270
 """Characters of a message; with the command before it, a line has at most 300."""
 WORD = 40
 """Characters that a word keeps at least in a message that is too long."""
-LONG = 150
+LONG = 170
 """Characters of choices that are listed whole."""
 MOST_WHOLE = 2**53
 """The largest whole number that a user may give: a float has no more digits."""

@@ -1,24 +1,91 @@
 """Multilayer perceptrons over the agent axis: A independent networks of one shape, evaluated together.
 
-Letters: A agents. To add an activation, add a line to `ACTIVATIONS`.
+Letters: A agents, N rows, U units of a layer. To add an activation, a function or a `Layer`, add a line to
+`ACTIVATIONS`.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
-from itertools import pairwise
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from uavnav.errors import among, choose_from, quoted
+from uavnav.errors import ConfigError, among, choose_from, quoted, telling_line
 
-ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
+
+class Layer(nn.Module):
+    """An activation that is more than a function: x [A, N, parallel U] -> [A, N, any width].
+
+    A subclass is made of U, the units, and a generator for each agent. Its parameters [A, n, ...] are learned
+    with the network's; `progress` shows each of the n, as its mean over the rest.
+    """
+
+    parallel: ClassVar[int] = 1
+    """Linear layers of U units before it, whose outputs it takes side by side."""
+
+    def __init__(self, units: int, generators: Sequence[torch.Generator]) -> None:
+        super().__init__()
+
+
+def crelu(x: Tensor) -> Tensor:
+    """Concatenated ReLU, Shang et al. (2016), arXiv 1603.05201: [..., U] -> [..., 2 U]."""
+    return torch.cat([F.relu(x), F.relu(-x)], -1)
+
+
+def fourier(x: Tensor) -> Tensor:
+    """Deep Fourier features, Lewandowski et al. (2025), arXiv 2410.20634: [..., U] -> [..., 2 U]."""
+    return torch.cat([x.sin(), x.cos()], -1)
+
+
+class Hadamard(Layer):
+    """The product of two parallel layers of tanh, Kooi et al. (2024), arXiv 2406.09079."""
+
+    parallel = 2
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[A, N, 2 U] -> [A, N, U]."""
+        first, second = x.tanh().chunk(2, -1)
+        return first * second
+
+
+class Rational(Layer):
+    """A rational function whose coefficients a layer's units share, Delfosse et al. (2024), arXiv 2102.09407.
+
+        f(x) = (a_0 + a_1 x + ... + a_5 x^5) / (1 + |b_1 x| + ... + |b_4 x^4|)
+
+    It begins as the authors' approximation of a leaky ReLU between -3 and 3: version A5/4 of
+    `rationals_config.json` in their repository ml-research/rational_activations.
+    """
+
+    NUMERATOR = (0.0297927787, 0.6183735265, 2.3233090625, 3.0519362373, 1.4854203264, 0.2510244961)
+    DENOMINATOR = (-1.1419548357, 4.393159975, 0.871471231, 0.3471966234)
+
+    def __init__(self, units: int, generators: Sequence[torch.Generator]) -> None:
+        super().__init__(units, generators)
+        above, below = (
+            torch.tensor(values).repeat(len(generators), 1)[..., None, None]
+            for values in (self.NUMERATOR, self.DENOMINATOR)
+        )
+        self.numerator, self.denominator = nn.Parameter(above), nn.Parameter(below)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[A, N, U] -> [A, N, U], by Horner."""
+        *a, above = self.numerator.unbind(1)
+        *b, below = self.denominator.abs().unbind(1)
+        for coefficient in reversed(a):
+            above = above * x + coefficient
+        for coefficient in reversed(b):
+            below = below * x.abs() + coefficient
+        return above / (below * x.abs() + 1)
+
+
+ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "relu": F.relu,  # eq. (5)
     "leaky_relu": F.leaky_relu,  # eq. (6), slope 0.01
     "sigmoid": torch.sigmoid,  # eq. (7)
@@ -34,7 +101,14 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "hardtanh": F.hardtanh,  # as bounded and centred as tanh, in three straight lines
     "relu6": F.relu6,  # a ReLU with a bound
     "sigmoid_centred": lambda x: 2 * torch.sigmoid(x) - 1,  # which is tanh(x / 2)
+    "crelu": crelu,
+    "fourier": fourier,
+    "hadamard": Hadamard,
+    "rational": Rational,
 }
+"""Functions [..., U] -> [..., any width], and classes of layers, by name."""
+
+BUILT_IN = tuple(ACTIVATIONS)
 
 KNOWN = dict(ACTIVATIONS)
 """Those that every process of a run has: built in, or of a plugin."""
@@ -47,19 +121,26 @@ class AgentLinear(nn.Module):
 
     `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO; `"unit"` differs only in its
     gains. `"default"` is PyTorch's initialisation (weights and biases uniform within 1 / sqrt(in)) and SB3's
-    choice for DQN. Only generators[a] initialises agent a.
+    choice for DQN. Only generators[a] initialises agent a. It may be several `parallel` layers side by side.
     """
 
     def __init__(
-        self, inputs: int, outputs: int, generators: Sequence[torch.Generator], init: Init, gain: float = 1.0
+        self,
+        inputs: int,
+        outputs: int,
+        generators: Sequence[torch.Generator],
+        init: Init,
+        gain: float = 1.0,
+        parallel: int = 1,
     ) -> None:
         super().__init__()
-        weight = torch.empty(len(generators), outputs, inputs)
-        bias = torch.zeros(len(generators), 1, outputs)
+        weight = torch.empty(len(generators), parallel * outputs, inputs)
+        bias = torch.zeros(len(generators), 1, parallel * outputs)
         bound = 1 / math.sqrt(inputs)
         for agent, generator in enumerate(generators):
             if init != "default":
-                nn.init.orthogonal_(weight[agent], gain, generator=generator)
+                for one in weight[agent].chunk(parallel):
+                    nn.init.orthogonal_(one, gain, generator=generator)
             else:
                 nn.init.uniform_(weight[agent], -bound, bound, generator=generator)
                 nn.init.uniform_(bias[agent], -bound, bound, generator=generator)
@@ -77,21 +158,57 @@ class Activation(nn.Module):
 
     Raises:
         ValueError: `ACTIVATIONS` has no such name.
+        ConfigError: it cannot be made, or fails on zeros.
     """
 
-    def __init__(self, name: str, layer_norm: bool = False) -> None:
+    def __init__(
+        self,
+        name: str,
+        layer_norm: bool = False,
+        units: int = 1,
+        generators: Sequence[torch.Generator] | None = None,
+    ) -> None:
         super().__init__()
         if not among(name, ACTIVATIONS):
             raise ValueError(f"activation={quoted(name)}; {choose_from(name, ACTIVATIONS)}")
-        self.name, self.layer_norm = name, layer_norm
+        self.name, self.layer_norm, self.units = name, layer_norm, units
+        self.layer: Layer | None = None
+        self.parallel = 1
+        entry: Any = ACTIVATIONS[name]
+        generators = [torch.Generator()] if generators is None else generators
+        try:
+            if isinstance(entry, type):
+                self.layer, self.parallel = entry(units, generators), entry.parallel
+            given = torch.zeros(len(generators), 1, self.parallel * units)
+            *rows, self.width = self(given).shape  # the width that the next layer sees
+            if rows != [*given.shape[:-1]] or not self.width:
+                raise ValueError(f"{[*given.shape]} became {[*rows, self.width]}")
+        except Exception as error:  # a caller's activation may raise any kind
+            raise ConfigError(
+                f"activation={name}: {telling_line(error)}; give a function of a tensor whose last dimension "
+                "alone may change, or a Layer"
+            ) from error
+
+    def normalised(self, x: Tensor) -> Tensor:
+        """What `function` is given."""
+        return F.layer_norm(x, x.shape[-1:]) if self.layer_norm else x
+
+    def function(self, x: Tensor) -> Tensor:
+        """[A, ..., parallel U] -> [A, ..., width], without LayerNorm."""
+        if self.layer is None:
+            return cast(Tensor, ACTIVATIONS[self.name](x))
+        found: Tensor = self.layer(x[:, None] if x.ndim == 2 else x.flatten(1, -2))
+        return found.reshape(*x.shape[:-1], found.shape[-1])
 
     def forward(self, x: Tensor) -> Tensor:
-        return ACTIVATIONS[self.name](F.layer_norm(x, x.shape[-1:]) if self.layer_norm else x)
+        """The same of what LayerNorm centres and scales, where there is one."""
+        return self.function(self.normalised(x))
 
     def extra_repr(self) -> str:
         return self.name
 
 
+@torch.no_grad()
 def unit_gain(activation: str) -> float:
     """1 / std f(z) for z ~ N(0, 1): with it, the units of the next layer begin on one scale, whatever the
     activation.
@@ -99,9 +216,14 @@ def unit_gain(activation: str) -> float:
     >>> round(unit_gain("relu"), 2), round(unit_gain("sigmoid"), 2)
     (1.71, 4.8)
     """
-    z, weight = (torch.from_numpy(values) for values in np.polynomial.hermite_e.hermegauss(200))
-    values, weight = ACTIVATIONS[activation](z), weight / weight.sum()
-    return float((weight * (values - (weight * values).sum()).square()).sum().rsqrt())
+    one = Activation(activation).double()
+    z, weight = (
+        torch.cartesian_prod(*[torch.from_numpy(values)] * one.parallel).reshape(-1, one.parallel)
+        for values in np.polynomial.hermite_e.hermegauss(200)
+    )
+    values, weight = one(z[None])[0].mT, weight.prod(-1) / weight.prod(-1).sum()
+    mean = (weight * values).sum(-1, keepdim=True)
+    return float((weight * (values - mean).square()).sum(-1).mean().rsqrt())
 
 
 def mlp(
@@ -112,23 +234,30 @@ def mlp(
     output_gain: float = 1.0,
     layer_norm: bool = False,
 ) -> nn.Sequential:
-    """Linear layers of the given sizes with the activation between them: x [A, ..., sizes[0]] -> [A, ...,
-    sizes[-1]].
+    """Linear layers with an activation after each but the last: x [A, ..., sizes[0]] -> [A, ..., sizes[-1]].
+
+    The sizes between are numbers of units. The activation says how many `parallel` layers of so many units
+    stand before it, and how wide its outputs are for the layer behind it.
 
     With `init="orthogonal"`, hidden layers have the gain sqrt(2) and the last layer has `output_gain`,
     whatever the activation (as in SB3, decision 15). With `"unit"`, what follows an activation has its
     `unit_gain` instead of sqrt(2), and the first layer 1.
     """
+    inputs, *hidden, outputs = sizes
     layers: list[nn.Module] = []
     after = unit_gain(activation) if init == "unit" else 1.0
-    for index, (inputs, outputs) in enumerate(pairwise(sizes)):
-        last = index == len(sizes) - 2
-        gain = (after if index else 1.0) if init == "unit" else math.sqrt(2)
-        gain = output_gain * after if last else gain
-        layers.append(AgentLinear(inputs, outputs, generators, init, gain))
-        if not last:
-            layers.append(Activation(activation, layer_norm))
+    for units in hidden:
+        gain = (after if layers else 1.0) if init == "unit" else math.sqrt(2)
+        own = Activation(activation, layer_norm, units, generators)
+        layers += [AgentLinear(inputs, units, generators, init, gain, own.parallel), own]
+        inputs = own.width
+    layers.append(AgentLinear(inputs, outputs, generators, init, output_gain * after))
     return nn.Sequential(*layers)
+
+
+def shapes(weights: Mapping[str, Tensor]) -> dict[str, torch.Size]:
+    """Of an agent's weights, by the names of those of all agents."""
+    return {name: tensor.shape[1:] for name, tensor in weights.items()}
 
 
 def made_of(network: nn.Module) -> tuple[object, ...] | None:
@@ -151,8 +280,8 @@ def made_of(network: nn.Module) -> tuple[object, ...] | None:
 def stacked(networks: Sequence[nn.Module]) -> nn.Module:
     """The agents of several networks as those of one, frozen; the networks are `made_of` the same."""
     whole = copy.deepcopy(networks[0])
-    for layer, *alike in zip(whole.children(), *(network.children() for network in networks), strict=True):
-        for name, _ in list(layer.named_parameters()):
-            weights = torch.cat([one.get_parameter(name).detach() for one in alike])
-            setattr(layer, name, nn.Parameter(weights, requires_grad=False))
+    for name, _ in networks[0].named_parameters():
+        weights = torch.cat([one.get_parameter(name).detach() for one in networks])
+        layer, _, own = name.rpartition(".")
+        setattr(whole.get_submodule(layer), own, nn.Parameter(weights, requires_grad=False))
     return whole

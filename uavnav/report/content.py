@@ -14,6 +14,7 @@ import pandas as pd
 from uavnav import style
 from uavnav.evaluation import EMPTY_ARENA
 from uavnav.report import (
+    activations,
     ambiguities,
     behaviour,
     figures,
@@ -190,7 +191,7 @@ def gather(
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
-        for study in (longer, ambiguities, noise):
+        for study in (longer, ambiguities, noise, activations):
             own, unread_too = study.gather(folders)
             numbers |= own
             left_out += unread_too

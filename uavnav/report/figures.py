@@ -10,7 +10,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, longer, worlds
+from uavnav.report import activations, arena, behaviour, charts, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
 from uavnav.report.frames import LIMIT, RULE, least_to_most, name
@@ -74,6 +74,12 @@ def draw(
             "intervals over seeds. Dashed: the scripted policy."
         )
         found.append(Figure("longer", "longer", longer.figure(numbers[longer.STUDY], width), caption))
+    if activations.STUDY in numbers:
+        caption = (
+            "Which activation? Reward per 1,000 frames of training: means and 95 % intervals over seeds."
+        )
+        own = activations.figure(numbers[activations.STUDY], width)
+        found.append(Figure("activations", "activations", own, caption))
     return found
 
 

@@ -10,7 +10,19 @@ from typing import Any
 import numpy as np
 
 from uavnav import evaluation
-from uavnav.report import ambiguities, arena, evidence, frames, longer, noise, studies, tables, whys, worlds
+from uavnav.report import (
+    activations,
+    ambiguities,
+    arena,
+    evidence,
+    frames,
+    longer,
+    noise,
+    studies,
+    tables,
+    whys,
+    worlds,
+)
 from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
@@ -41,13 +53,14 @@ SECTIONS = {
     "longer": "Longer",
     "ambiguities": "Open choices",
     "noise": "Noise",
+    "activations": "Activations",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-FURTHER = {"longer": longer.STUDY, "ambiguities": ambiguities.DRAWS, "noise": noise.STUDY}
+FURTHER = {one.STUDY: one.STUDY for one in (longer, noise, activations)} | {"ambiguities": ambiguities.DRAWS}
 """Sections of further studies, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what replicates of the paper"
 """Of a report on other runs than the study's."""

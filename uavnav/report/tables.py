@@ -218,6 +218,30 @@ NOISE: Columns = {
 """Of `noise.table`."""
 
 
+def _layer_norm(one: Record) -> str:
+    return "with" if one["layer_norm"] else "without"
+
+
+JUDGED: Columns = {
+    "measure": "{measure}",
+    "algorithm": lambda one: one["algorithm"].upper(),
+    "LayerNorm": _layer_norm,
+    "the choice is": "{verdict}",
+    "margin": "{margin}",
+    "largest difference": "{value:.1f} [{low:.1f}, {high:.1f}]",
+    "of": lambda one: f"{one['best']} and {one['worst']}" if one["best"] else NOTHING,
+    "seeds": "{n}",
+}
+"""Of `activations.judged`."""
+CARRIED: Columns = {
+    "measure": "{measure}",
+    "LayerNorm": _layer_norm,
+    "rank correlation of PPO and DQN": "{value:.2f} [{low:.2f}, {high:.2f}]",
+    "seeds": "{n}",
+}
+"""Of `activations.carried`."""
+
+
 def drawn(frame: pd.DataFrame) -> Rows:
     """Draws of settings, the nearest first: as `ambiguities.gather` gives them."""
     shown = frame.map(lambda one: number(one, 1) if isinstance(one, float) else str(one))

@@ -64,9 +64,7 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
 
 def _program(policy: Policy) -> torch.export.ExportedProgram:
     """The policy's network as a graph over any number of rows."""
-    layers = [
-        _linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()
-    ]
+    layers = [_alone(layer) for layer in policy.network.children()]
     rows = torch.zeros(2, policy.task.observation_size)
     shapes = ({0: torch.export.Dim("rows")},)
     program = torch.export.export(
@@ -79,8 +77,11 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
     return program
 
 
-def _linear(layer: AgentLinear) -> nn.Linear:
-    """The one agent's layer as PyTorch's own."""
+def _alone(layer: nn.Module) -> nn.Module:
+    """The one agent's layer [N, ...] -> [N, ...]; a linear one as PyTorch's own, and a function as it is."""
+    if not isinstance(layer, AgentLinear):
+        learns = any(True for _ in layer.parameters())
+        return nn.Sequential(nn.Unflatten(0, (1, -1)), layer, nn.Flatten(0, 1)) if learns else layer
     result = nn.Linear(*layer.weight.shape[1:])
     result.load_state_dict({"weight": layer.weight[0].T, "bias": layer.bias[0, 0]})
     return result

@@ -23,7 +23,7 @@ from uavnav import files, plugins
 from uavnav.acting import ACTS, HEADS, SHOWN, values_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import OneLineError, choose_from
-from uavnav.networks import ACTIVATIONS, mlp
+from uavnav.networks import ACTIVATIONS, mlp, shapes
 from uavnav.runs import MOST_SEEDS, POLICY, read_settings, runs_below, shipped
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
@@ -312,11 +312,10 @@ def _network(
             raise ValueError(f"not {len(header.seeds)} networks")
         inputs, outputs = weights["0.weight"].shape[1], weights[f"{2 * len(header.hidden)}.weight"].shape[2]
         sizes = [inputs, *header.hidden, outputs]
-        expected: dict[str, tuple[int, ...]] = {}
-        for index, (rows, columns) in enumerate(pairwise(sizes)):
-            expected |= {f"{2 * index}.weight": (rows, columns), f"{2 * index}.bias": (1, columns)}
-        found = {key: tuple(tensor.shape[1:]) for key, tensor in weights.items()}
-        if found != expected or any(tensor.dtype != torch.float32 for tensor in weights.values()):
+        expected = mlp(sizes, header.activation, [], "default")  # of no agent: it takes no memory
+        if shapes(weights) != shapes(expected.state_dict()) or any(
+            tensor.dtype != torch.float32 for tensor in weights.values()
+        ):
             raise ValueError("other tensors")
         n_actions = values_of(head, torch.zeros(1, outputs)).shape[-1]
     except (KeyError, IndexError, RuntimeError, TypeError, ValueError, OverflowError) as error:
@@ -375,12 +374,16 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
             f"{path}: unknown activation {activation!r}; {choose_from(activation, ACTIVATIONS)}"
         )
     network = mlp(sizes, activation, [torch.Generator()], "default")
+    own = {f"{2 * index}.weight": weight.T[None] for index, (weight, _) in enumerate(layers)}
+    own |= {f"{2 * index}.bias": bias[None, None] for index, (_, bias) in enumerate(layers)}
+    if shapes(own) != shapes(network.state_dict()):
+        raise PolicyError(f"{path}: activation={activation}; a zip has none of its layers: give a function")
     for index, (weight, bias) in enumerate(layers):
         if not (weight.isfinite().all() and bias.isfinite().all()):
             raise PolicyError(
                 f"{path}: layer {index} is not finite, it diverged; train with a lower learning_rate"
             )
-        network[2 * index].load_state_dict({"weight": weight.T[None], "bias": bias[None, None]})
+    network.load_state_dict(own)
     return Policy(network, algorithm, greedy, task, how.acts, how.head, SB3_EPSILON)
 
 

@@ -50,41 +50,59 @@ def poses(task: WrappedTask) -> Tensor:
 def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
     """Statistics [A] of the hidden units of each agent's network, on observation [P, 30].
 
-    `dormant` and `saturated` are shares over all hidden layers. `effective_rank` belongs to the last hidden
-    layer's activations [P, H]: the exponential of the entropy of their singular values, as shares of the sum
-    (Roy and Vetterli 2007).
+    `dormant` and `saturated` are shares over all hidden layers: of what the layer behind sees, and of units.
+    `effective_rank` belongs to the last hidden layer's activations [P, H]: the exponential of the entropy of
+    their singular values, as shares of the sum (Roy and Vetterli 2007). What activations learn follows.
     """
-    dormant, saturated = [], []
+    dormant, saturated, learned = [], [], dict[str, Tensor]()
     hidden = observation.expand(len(next(network.parameters())), -1, -1)
-    for layer in list(network)[:-1]:
+    for place, layer in enumerate(list(network)[:-1]):
         if isinstance(layer, Activation):
-            hidden, slope = _with_slope(layer, hidden)
+            steep = _steepest_of_units(layer, hidden)
+            hidden, slope = _with_slope(layer.function, layer.normalised(hidden), layer.units, layer.parallel)
             mean = hidden.abs().mean(1)
             dormant.append(mean <= DORMANT * mean.mean(1, keepdim=True))
-            saturated.append(slope.abs() <= SATURATED * steepest(ACTIVATIONS[layer.name]))
+            saturated.append(slope <= SATURATED * steep)
+            for name, value in layer.named_parameters():
+                name = f"layer_{place // 2 + 1}_{name.removeprefix('layer.')}"
+                each = value.reshape(*value.shape[:2], -1).mean(-1).unbind(1)
+                learned |= {f"{name}_{number}": one for number, one in enumerate(each)}
         else:
             hidden = layer(hidden)
     return {
         "dormant": torch.cat(dormant, -1).float().mean(-1),
         "saturated": torch.cat([part.flatten(1) for part in saturated], -1).float().mean(-1),
         "effective_rank": _effective_rank(hidden),
+        **learned,
     }
 
 
 @functools.cache
-def steepest(activation: Callable[[Tensor], Tensor]) -> float:
-    """The largest |slope| of an activation between -10 and 10."""
-    _, slope = _with_slope(activation, torch.linspace(-10, 10, 2001))
-    return slope.abs().max().item()
+def steepest(function: Callable[[Tensor], Tensor]) -> float:
+    """The largest |slope| of a function between -10 and 10."""
+    return _with_slope(function, torch.linspace(-10, 10, 2001)[:, None])[1].max().item()
 
 
-def _with_slope(activation: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
-    """An activation's values and derivatives at x."""
+def _steepest_of_units(activation: Activation, hidden: Tensor) -> Tensor | float:
+    """The same of an activation; of a layer for each unit [A, 1, U], from as many random places."""
+    if activation.layer is None:
+        return steepest(ACTIVATIONS[activation.name])
+    x = 20 * torch.rand(2001, hidden.shape[-1], generator=stream(0, "slope")).to(hidden.device) - 10
+    x = x.expand(len(hidden), -1, -1)
+    _, slope = _with_slope(activation.function, x, activation.units, activation.parallel)
+    return slope.amax(1, keepdim=True)
+
+
+def _with_slope(
+    function: Callable[[Tensor], Tensor], x: Tensor, units: int = 1, parallel: int = 1
+) -> tuple[Tensor, Tensor]:
+    """A function's values at x [..., parallel U], and each unit's largest |slope| there [..., U]."""
     with torch.enable_grad():
         x = x.detach().requires_grad_()
-        y = activation(x)
-        (slope,) = torch.autograd.grad(y.sum(), x)
-    return y.detach(), slope
+        y = function(x)
+        parts = [part.sum() for part in y.split(units, -1)]
+        slopes = torch.stack([torch.autograd.grad(part, x, retain_graph=True)[0] for part in parts])
+    return y.detach(), slopes.unflatten(-1, (parallel, units)).abs().amax((0, -2))
 
 
 def _effective_rank(x: Tensor) -> Tensor:

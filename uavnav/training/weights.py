@@ -15,7 +15,7 @@ from torch import nn
 from uavnav import plugins
 from uavnav.acting import Actor
 from uavnav.errors import ConfigError
-from uavnav.networks import mlp
+from uavnav.networks import mlp, shapes
 from uavnav.tasks import tensors
 from uavnav.tasks.table import header
 from uavnav.tasks.world import VERSION
@@ -27,11 +27,10 @@ def check(networks: Mapping[str, nn.Module], config: TrainConfig) -> None:
     needed = f"algorithm={config.algorithm}: networks() must give policy, made by uavnav.networks.mlp"
     if "policy" not in networks:
         raise ConfigError(f"{needed}; it gives {', '.join(networks)}")
-    own = {name: tensor.shape[1:] for name, tensor in networks["policy"].state_dict().items()}
+    own = shapes(networks["policy"].state_dict())
     last = own.get(f"{2 * len(config.hidden)}.weight", torch.Size([0, 0]))
     sizes = [config.observation_size, *config.hidden, last[-1]]
-    again = mlp(sizes, config.activation, [torch.Generator()], "default", layer_norm=config.layer_norm)
-    if own != {name: tensor.shape[1:] for name, tensor in again.state_dict().items()}:
+    if own != shapes(mlp(sizes, config.activation, [], "default").state_dict()):
         raise ConfigError(f"{needed} of hidden={list(config.hidden)}; its tensors are others")
 
 

@@ -179,7 +179,7 @@ def _checked(path: str, policy: Policy) -> Policy:
         _refuse(path, "the playground has no 3D")
     for what, value, choices in (
         ("task", name_of(policy.task), ("drone", "moving", "goal")),
-        ("activation", _activation(policy), networks.KNOWN),
+        ("activation", _activation(policy), networks.BUILT_IN),
         ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
         ("values", ALGORITHMS[policy.algorithm].shown, ("probability", "Q value")),
         ("stack", str(policy.task.stack), ("1",)),
@@ -234,8 +234,8 @@ def _key(*words: str) -> str:
 
 def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     """A policy as the page contains it; where: its run, if its algorithm and activation do not tell."""
-    layers = [layer for layer in policy.network.children() if isinstance(layer, networks.AgentLinear)]
-    numbers = [part.detach().numpy() for layer in layers for part in (layer.weight, layer.bias)]
+    layers, numbers = [*policy.network.children()], [one.detach() for one in policy.network.parameters()]
+    learned = [sum(one.numel() for one in layer.parameters()) for layer in layers[1::2]]
     activation = _activation(policy)
     words = activation.replace("_", " ")
     how = "samples its actions"
@@ -258,9 +258,13 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
         "epsilon": policy.epsilon,
         "shown": ALGORITHMS[policy.algorithm].shown,
         "head": policy.head,
-        "layer_norm": any(getattr(layer, "layer_norm", False) for layer in policy.network.children()),
+        "layer_norm": any(getattr(layer, "layer_norm", False) for layer in layers),
         "faults": {name: value for name, value in task.faults if value},
-        "sizes": [layers[0].weight.shape[1], *(layer.weight.shape[2] for layer in layers)],
+        # of each linear layer: inputs, outputs, and the numbers that the activation behind it has learned
+        "sizes": [
+            [*layer.get_parameter("weight").shape[1:], own]
+            for layer, own in zip(layers[::2], [*learned, 0], strict=True)
+        ],
         "weights": _base64(*numbers),
     }
 

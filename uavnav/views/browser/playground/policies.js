@@ -33,6 +33,29 @@ const ACTIVATIONS = {
   sigmoid_centred: (x) => 2 * sigmoid(x) - 1,
 };
 
+/** A rational function with six coefficients above and four below: uavnav/networks.py. */
+function rational(x, learned) {
+  const above = learned.slice(0, 6).reduceRight((sum, a) => sum * x + a, 0);
+  const below = learned.slice(6).reduceRight((sum, b) => (sum + Math.abs(b)) * Math.abs(x), 0);
+  return above / (1 + below);
+}
+
+/** Activations that are no function of one number: of a layer's sums, and of the numbers that they have learned. */
+const LAYERS = {
+  crelu: (sums) => [...sums, ...sums.map((x) => -x)].map(ACTIVATIONS.relu),
+  fourier: (sums) => [...[...sums].map(Math.sin), ...[...sums].map(Math.cos)],
+  hadamard: (sums) => {
+    const [first, second] = [sums.slice(0, sums.length / 2), sums.slice(sums.length / 2)];
+    return first.map((x, unit) => Math.tanh(x) * Math.tanh(second[unit]));
+  },
+  rational: (sums, learned) => sums.map((x) => rational(x, learned)),
+};
+
+/** What a layer's sums become by an activation. */
+function activated(name, sums, learned) {
+  return name in LAYERS ? Float32Array.from(LAYERS[name](sums, learned)) : sums.map(ACTIVATIONS[name]);
+}
+
 /** Base64 of little-endian float32 as numbers. */
 function floats(text) {
   const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
@@ -88,21 +111,18 @@ const HEADS = {
 /** A trained network: observation -> { hidden: the activations of each hidden layer, values: one number an action }. */
 function network({ sizes, activation, layer_norm, head, weights }) {
   const numbers = floats(weights);
-  const layers = [];
   let at = 0;
   const take = (count) => numbers.subarray(at, (at += count));
-  for (let layer = 0; layer + 1 < sizes.length; layer += 1) {
-    layers.push([take(sizes[layer] * sizes[layer + 1]), take(sizes[layer + 1])]);
-  }
+  const layers = sizes.map(([inputs, outputs, learned]) => [take(inputs * outputs), take(outputs), take(learned)]);
   const last = layers.pop();
   const [name, ...given] = head.split(" ");
   const valuesOf = (outputs) => HEADS[name](outputs, ...given.map(Number));
   return (observation) => {
     const hidden = [];
     let inputs = observation;
-    for (const [weight, bias] of layers) {
+    for (const [weight, bias, learned] of layers) {
       const sums = linear(inputs, weight, bias);
-      inputs = (layer_norm ? normalised(sums) : sums).map(ACTIVATIONS[activation]);
+      inputs = activated(activation, layer_norm ? normalised(sums) : sums, learned);
       hidden.push(inputs);
     }
     return { hidden, values: valuesOf(linear(inputs, ...last)) };

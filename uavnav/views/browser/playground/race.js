@@ -118,7 +118,7 @@ class Race {
   /** Whether a pilot knows what there is to see in this world: a network reads so many numbers and no others. */
   canFly(pilot) {
     const policy = this.policies.find(({ key }) => key === pilot);
-    return pilot !== NOBODY && (!policy || policy.sizes[0] === this.task.observationSize);
+    return pilot !== NOBODY && (!policy || policy.sizes[0][0] === this.task.observationSize);
   }
 
   /** What the drone will do from here, and why: `thought` has an action, and of a policy the numbers behind it. */

@@ -178,7 +178,8 @@ class Activation(nn.Module):
         generators = [torch.Generator()] if generators is None else generators
         try:
             if isinstance(entry, type):
-                self.layer, self.parallel = entry(units, generators), entry.parallel
+                self.layer = layer = entry(units, generators)
+                self.parallel = layer.parallel
             given = torch.zeros(len(generators), 1, self.parallel * units)
             *rows, self.width = self(given).shape  # the width that the next layer sees
             if rows != [*given.shape[:-1]] or not self.width:

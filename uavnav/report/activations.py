@@ -60,7 +60,9 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
     """
     flown, left_out = flights(folders, STUDY)
     measured: dict[Where, dict[str, Array]] = {}
-    for one in (one for one in flown if one.run is not None and len(one.reward)):
+    for one in flown:
+        if one.run is None or not len(one.reward):
+            continue
         try:
             run = Run(one.run.path)
             where = Where(run.algorithm, run.config["layer_norm"], run.config["activation"])
@@ -138,7 +140,7 @@ def widest(samples: Sequence[Array], margin: float) -> list[object]:
 def carried(measured: Measured) -> Table:
     """Whether PPO's order of activations is DQN's: Spearman's correlation of means, a row a measure."""
     rows = [
-        [layer_norm, measure, *stats.rank_correlation(*both)]
+        [layer_norm, measure, *stats.rank_correlation(both[0], both[1])]
         for layer_norm in (False, True)
         for measure in (REWARD, FINAL, *PROBES)
         if all(both := [_of(measured, algorithm, layer_norm, measure) for algorithm in ("ppo", "dqn")])

@@ -100,9 +100,9 @@ def _with_slope(
     with torch.enable_grad():
         x = x.detach().requires_grad_()
         y = function(x)
-        parts = [part.sum() for part in y.split(units, -1)]
+        parts = [part.sum() for part in torch.split(y, units, -1)]
         slopes = torch.stack([torch.autograd.grad(part, x, retain_graph=True)[0] for part in parts])
-    return y.detach(), slopes.unflatten(-1, (parallel, units)).abs().amax((0, -2))
+    return y.detach(), slopes.reshape(*slopes.shape[:-1], parallel, units).abs().amax((0, -2))
 
 
 def _effective_rank(x: Tensor) -> Tensor:

@@ -355,7 +355,7 @@ def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written
     [
         (
             ["papr"],
-            "no such study; did you mean paper? choose from algorithms, ambiguities, initial, longer, ",
+            "no such study; did you mean paper? choose from activations, algorithms, ",
         ),
         (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
         (["paper", "sede=3"], "there is no key 'sede'; did you mean seeds? choose from"),

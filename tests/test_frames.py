@@ -118,6 +118,12 @@ def test_interactions_by_metric_and_reading_of_the_papers_configurations_alone()
     assert np.isnan(found.loc["sampled evaluation", "reward"]["p_ranks"])
 
 
+def test_a_report_on_further_studies_alone_says_nothing_of_interactions():
+    found = frames.interactions(frames.per_seed_values({}))
+    assert found["n"].tolist() == [0] * 6
+    assert found["p_ranks"].isna().all()
+
+
 def test_seeds_that_find_the_papers_difference_are_of_pairs_within_an_algorithm():
     study = configurations(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9)
     found = frames.power(study)

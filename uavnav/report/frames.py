@@ -166,7 +166,7 @@ def interactions(values: pd.DataFrame) -> pd.DataFrame:
     """Whether activations change places between the paper's algorithms (`stats.interaction`)."""
     rows = []
     of_paper = [key in paper.TABLES for key in zip(values["algorithm"], values["activation"], strict=True)]
-    known = values[of_paper].dropna()
+    known = values[np.array(of_paper, bool)].dropna()  # an empty list would name no columns
     for definition, metric in itertools.product((PRIMARY, SAMPLED), ("reward", "steps", "distance")):
         own = known[(known["definition"] == definition) & (known["metric"] == metric)]
         rows.append([definition, metric, *stats.interaction(own[["algorithm", "activation", "value"]])])

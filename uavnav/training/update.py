@@ -38,17 +38,19 @@ Read = Callable[..., TensorDictBase]
 
 class Adam(NamedTuple):
     """As at the end of section 2 of Kingma and Ba (2015): the bias of the moments is corrected in the
-    rate.
+    rate, which may fall linearly to 0 over `until` steps.
     """
 
     lr: float
     eps: float
     moments: tuple[str, ...] = ("first", "second")
+    until: float = math.inf
 
     def rates(self, step: Tensor) -> Tensor:
         """step [M] float64, counted from 1 -> what `step` is given of each, [M, 2]."""
         correction = (1 - BETA2**step).sqrt()
-        return torch.stack([self.lr * correction / (1 - BETA1**step), self.eps * correction], -1)
+        lr = self.lr * (1 - (step - 1) / self.until)
+        return torch.stack([lr * correction / (1 - BETA1**step), self.eps * correction], -1)
 
     def step(
         self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase

@@ -1,6 +1,7 @@
 """Updates by themselves: optimisers, clipping, targets; test_algorithms compiles those of the table."""
 
 import copy
+import math
 import subprocess
 import sys
 
@@ -67,6 +68,13 @@ def test_twenty_updates_are_torchs_own_and_its_clipping_agent_by_agent(kind, max
             optimizer.step()
         torch.testing.assert_close(mine.loss.weight[agent], theirs.weight[0], rtol=1e-5, atol=1e-6)
         torch.testing.assert_close(found["grad_norm"][agent], torch.stack(norms).mean(), rtol=1e-4, atol=1e-5)
+
+
+def test_adams_rate_falls_linearly_from_all_of_it_and_would_be_0_after_the_last_step():
+    steps = torch.arange(1, 21, dtype=torch.float64)
+    falling, constant = (Adam(0.1, 1e-5, until=until).rates(steps) for until in (20, math.inf))
+    torch.testing.assert_close(falling[:, 0] / constant[:, 0], 1 - torch.arange(20, dtype=torch.float64) / 20)
+    assert torch.equal(falling[:, 1], constant[:, 1])
 
 
 def test_losses_are_each_agents_means_over_its_rows_and_over_the_minibatches():

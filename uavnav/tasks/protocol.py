@@ -32,7 +32,9 @@ LIMITS = {"goal": 1_000}
 
 USUAL = ("random", "straight", "reactive")
 """Policies that need no training, which learned ones fly beside; what they do is in `baselines`."""
-SCRIPTS = (*USUAL, "apf", "vfh", "dwa", "orca")
+ORCA = "orca"
+"""The one that needs velocities, so that it flies only where bodies move."""
+SCRIPTS = (*USUAL, "apf", "vfh", "dwa", ORCA)
 """All of them, with those of `classics`."""
 DRAWS = "random"
 """The one that draws its actions, so that its seeds differ."""

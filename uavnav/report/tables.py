@@ -216,6 +216,27 @@ NOISE: Columns = {
     "more than trained without": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
 }
 """Of `noise.table`."""
+HORIZON: Columns = {
+    "time limit": "{limit:,}",
+    "frames": "{frames:,}",
+    "γ": "{gamma:g}",
+    "seeds": "{n}",
+    "reward": "{value:.1f} [{value_low:.1f}, {value_high:.1f}]",
+    "reach the time limit [%]": "{survive:.1f} [{survive_low:.1f}, {survive_high:.1f}]",
+    "more than with 0.99": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+    "scripted policy": "{scripted:.1f}",
+}
+"""Of `horizon.table`."""
+LEARNED: Columns = {
+    "task": "{place}",
+    "shield": lambda one: "yes" if one["shield"] else "no",
+    "best scripted policy": "{who}",
+    "its reward": "{scripted:.1f}",
+    "PPO best earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "seeds": "{n}",
+    "ahead": "{verdict}",
+}
+"""Of `learned.ahead`."""
 
 
 def _layer_norm(one: Record) -> str:

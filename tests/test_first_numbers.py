@@ -119,7 +119,7 @@ def test_ppo_leads_dqn_by_this_share_of_the_papers_lead(per_frame):
     printed = np.mean([PRINTED[one] / STEPS[one] - DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR])
     says(line, 1000 * lead, 1)
     says(line, 1000 * printed, 1)
-    says(lines("**In training, PPO leads"), 100 * lead / printed)
+    says(lines("**In training, PPO beats"), 100 * lead / printed)
     pairs = itertools.product(FOUR, FOUR)
     assert min(per_frame["ppo", a].mean() - per_frame["dqn", b].mean() for a, b in pairs) > 0
 
@@ -181,7 +181,7 @@ def test_ppos_lead_by_settings():
 
 
 def test_the_scripted_policy_is_ahead_of_the_best_mean_and_single_seeds_pass_it(flown):
-    line = lines("- A scripted policy")
+    line = lines("- Without sensor noise, a scripted policy")
     rule = pd.read_parquet(RESULTS / "baselines" / "reactive.parquet")["reward"].mean()
     best = max(own.mean() for (_, _, mode), own in flown.items() if mode == "sampled")
     says(line, rule - best)

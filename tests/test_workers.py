@@ -378,7 +378,7 @@ def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_i
     tmp_path, monkeypatch
 ):
     monkeypatch.setitem(networks.ACTIVATIONS, "mine", torch.sin)
-    with pytest.raises(ConfigError, match="activation=mine is known to this process alone; give processes=1"):
+    with pytest.raises(ConfigError, match="activation=mine is known only to this process; give processes=1"):
         train(PPOConfig(n_seeds=2, activation="mine", **SMALL), tmp_path / "run", quiet=True, processes=2)
     assert not (tmp_path / "run").exists()
 

@@ -84,7 +84,7 @@ HEADS: dict[str, Callable[..., Tensor]] = {
 """How a network's outputs [..., outputs] become one number an action [..., actions]; the largest is the
 greedy one.
 
-A policy names a line with its numbers, if it has some: `direct`, or `distribution -10.0 9.0 51`.
+A policy names an entry with its numbers, if it has some: `direct`, or `distribution -10.0 9.0 51`.
 """
 
 SHOWN: dict[str, Callable[[Tensor], Tensor]] = {

@@ -48,7 +48,7 @@ class Graph:
     are kept on disk, like those of `torch.compile`.
 
     Args:
-        function: torch operations alone, without branches on values and without NumPy.
+        function: only torch operations, without branches on values and without NumPy.
         options: inductor's options.
 
     Raises:
@@ -76,8 +76,8 @@ class Graph:
                 if not _parts_work():
                     return _left_to_torch(self.function)
                 raise ConfigError(
-                    f"no graph can be made ({telling_line(error)}); activations and rewards are torch "
-                    "operations alone,"
+                    f"no graph can be made ({telling_line(error)}); activations and rewards are only torch "
+                    "operations,"
                     " without NumPy and branches on values: or give compile=off"
                 ) from error
 

@@ -186,8 +186,8 @@ class Activation(nn.Module):
                 raise ValueError(f"{[*given.shape]} became {[*rows, self.width]}")
         except Exception as error:  # a caller's activation may raise any kind
             raise ConfigError(
-                f"activation={name}: {telling_line(error)}; give a function of a tensor whose last dimension "
-                "alone may change, or a Layer"
+                f"activation={name}: {telling_line(error)}; give a function of a tensor that changes at most "
+                "its last dimension, or a Layer"
             ) from error
 
     def normalised(self, x: Tensor) -> Tensor:

@@ -59,7 +59,7 @@ DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 RULED = DASHED | {"color": SCRIPTED}
 """The look of what the scripted policy reaches."""
 RULE = "scripted policy"
-"""The label of the scripted policy that everything learned is held against."""
+"""The label of the scripted policy that everything learned is compared with."""
 STYLE: dict[RcKeyType, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],

@@ -1,5 +1,5 @@
-"""The table of algorithms: one light record each. To add one, write its module and its line here, or in a
-plugin.
+"""The table of algorithms: one light record each. To add one, write its module and its entry here, or in
+a plugin.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber loss in place of the square
 by default. theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the
-target is R alone.
+target is only R.
 
 Letters: A agents, one per seed, that learn side by side and independently of each other; W environments an
 agent.

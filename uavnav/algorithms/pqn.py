@@ -4,8 +4,8 @@
     L(theta) = E[(Q(s, a; theta) - G)^2] / 2
 
 DQN without its buffer and its target network: many environments give fresh steps, LayerNorm keeps the network
-stable, and G looks further ahead than one step. A collision is worth R alone; a time limit and the end of a
-rollout R + gamma max Q.
+stable, and G looks further ahead than one step. After a collision G is only R; at a time limit and at the end
+of a rollout it is R + gamma max Q.
 Letters: A agents, W environments an agent, T steps of a rollout.
 """
 

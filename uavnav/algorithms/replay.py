@@ -116,7 +116,7 @@ class Replay:
     after how many steps.
 
     A step is one row of F numbers: s, a, R, whether the episode is done and terminated, and s' where it is
-    kept. What lies together in memory is written and read in one go.
+    kept. What is together in memory is written and read in one go.
 
     Args:
         seeds: one for each agent.
@@ -233,7 +233,7 @@ class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
         super().__init__(compilable=True)
 
     def extend(self, data: Tensor) -> Tensor:
-        """Write rows behind the newest ones; where they lie now."""
+        """Write rows behind the newest ones; where they are now."""
         capacity, n = self._storage.max_size, len(data)
         index: Tensor = torch.arange(self._cursor, self._cursor + n, device=data.device) % capacity
         self._storage.put(index, data)

@@ -194,7 +194,7 @@ def main(arguments: Namespace) -> int:
         return 1
     if own.report:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
-            # what a winner is held against
+            # what a winner is compared with
             commands.run("evaluate", ["reactive", "--out", str(out / "baselines"), "--quiet"])
         print(f"the report is in {report([out]).path}")
     return 0

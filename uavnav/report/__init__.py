@@ -63,7 +63,7 @@ def report(
     from uavnav.report.content import gather
     from uavnav.views.replays import record_apart
 
-    tell("reading runs")
+    tell("loading runs")
     begun = mine.unfinished(read)
     try:
         found = collect(read)

@@ -1,4 +1,4 @@
-"""Rows of a study that lies apart from those that answer for the paper: in a folder of its name."""
+"""Rows of a study in a folder of its own name, apart from those that answer for the paper."""
 
 from __future__ import annotations
 

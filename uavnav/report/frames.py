@@ -64,7 +64,7 @@ OVERESTIMATION = {
 }
 """What a seed expects and gets: columns of `evaluate.values.overestimation`."""
 RULE = "reactive"
-"""The scripted policy that everything learned is held against: `uavnav.tasks.baselines.reactive`."""
+"""The scripted policy that everything learned is compared with: `uavnav.tasks.baselines.reactive`."""
 VECTORISED = "many environments"
 """The setting in which the study in many environments differs from that in one."""
 EVERY = "all configurations"

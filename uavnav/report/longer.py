@@ -105,7 +105,7 @@ def best(rewards: Mapping[Where, Array], where: Where, algorithms: Collection[st
 
 def trend(gain: stats.Interval, before: float) -> str:
     """Whether a reward changes with longer training, from the 95 % interval of its change: `rises`, `falls`,
-    `saturated` where the interval lies within `NEAR` of the reward before, else `open`.
+    `saturated` where the interval is within `NEAR` of the reward before, else `open`.
     """
     near = NEAR * abs(before)
     if -near <= gain.low and gain.high <= near:

@@ -29,7 +29,7 @@ from uavnav.views import browser, replays
 
 TITLES = browser.TITLES | browser.IN_3D
 SCRIPT = "reactive"
-"""The scripted policy that everything learned is held against."""
+"""The scripted policy that everything learned is compared with."""
 YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}

@@ -50,7 +50,7 @@ class Studies(NamedTuple):
     vectorised: (
         Configurations  # the same in more environments a seed, where the main study is in one; else none
     )
-    baseline: Configurations  # in many environments for fewer frames, what the next two are held against
+    baseline: Configurations  # in many environments for fewer frames, what the next two are compared with
     initial: Configurations  # under the first reward
     switches: dict[str, Configurations]  # one setting that the paper leaves open otherwise, by `name=value`
     # one setting otherwise that may tell why configurations differ (`whys`), by `name=value`

@@ -515,7 +515,7 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
         ours = _cited(of, MEAN, 1, "metrics", root), _cited(own, REWARD, 0, "gaps", root)
         rows.append([f"{algorithm.upper()} {NAMES[activation]}", printed, *ours])
     rule = _cited(flown[flown["who"] == RULE], REWARD, 0, "gaps", root)
-    return [*rows, ["scripted policy, exact sensing", NOTHING, NOTHING, rule]]
+    return [*rows, ["scripted policy", NOTHING, NOTHING, rule]]
 
 
 def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, root: str) -> str:

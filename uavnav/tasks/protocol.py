@@ -31,7 +31,7 @@ LIMITS = {"goal": 1_000}
 
 
 USUAL = ("random", "straight", "reactive")
-"""Policies that need no training, which learned ones fly beside; what they do is in `baselines`."""
+"""Policies that need no training, which learned ones are compared with; what they do is in `baselines`."""
 ORCA = "orca"
 """The one that needs velocities, so that it flies only where bodies move."""
 SCRIPTS = (*USUAL, "apf", "vfh", "dwa", ORCA)

@@ -1,10 +1,11 @@
 """A filter between a policy and the drone: no step into what is sensed.
 
 An action can collide if a step of it may touch a body in one of the slots, whatever the body's size: its
-nearest point is d px away in the direction u, so it lies behind a plane there, and a step s leaves d - s . u.
+nearest point is d px away in the direction u, so it is behind a plane there, and a step s leaves d - s . u.
 That is exact for bodies that stand still, and for those that fly straight on with a velocity that is sensed.
-The shield does not see what is in no slot: what is behind or beside the drone, or where an echo was lost. It
-takes a noisy distance as it is, a body without a sensed velocity as one that stands, and knows of no bounce.
+The shield does not see what is in no slot: what is behind the drone or at its side, or where an echo was
+lost. It takes a noisy distance as it is, a body without a sensed velocity as one that stands, and knows of no
+bounce.
 Letters: S slots, A actions.
 """
 

@@ -27,7 +27,7 @@ class Heartbeat:
         folder: of the run.
         total: frames per seed in the end.
         frames: per seed so far.
-        watched: whether the process that started this one holds the other end of the standard input. When it
+        watched: whether the process that started this one has the other end of the standard input. When it
             is gone, the run shall stop.
     """
 

@@ -29,7 +29,7 @@ from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
 
 Row = Mapping[str, Tensor | float]
-"""What a row of progress says beside seed and frame: [A], or one number for all."""
+"""What a row of progress says besides seed and frame: [A], or one number for all."""
 
 
 Fit = Callable[[Recorder, bool, Tell | None], Run]
@@ -43,9 +43,9 @@ class Trainee(Protocol):
 
     actor: Actor
     parts: Mapping[str, Stateful]
-    """What a snapshot must hold beside the environment and the actor."""
+    """What a snapshot must contain besides the environment and the actor."""
     replay: ReplayBuffer | None
-    """A buffer whose rows a snapshot must hold too."""
+    """A buffer whose rows a snapshot must contain too."""
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
         """The algorithm: learn from the newest steps [A, W, T], after so many frames per seed."""
@@ -95,8 +95,8 @@ class Session:
             env: where the actor acts.
             actor: of all seeds.
             networks: what the policy file keeps; `policy` is the one that acts.
-            parts: what else a snapshot must hold.
-            replay: a buffer whose rows a snapshot must hold too.
+            parts: what else a snapshot must contain.
+            replay: a buffer whose rows a snapshot must contain too.
         """
         weights.check(networks, self.config)
         machine.keep_memory_flat(max(one.nbytes for net in networks.values() for one in net.parameters()))
@@ -155,19 +155,19 @@ def train(
         config: the settings of an algorithm.
         out: the run's folder; by default runs/<algorithm>-<preset>/<activation>, and what differs
             from the preset behind it.
-        overwrite: start anew where the folder holds a run.
+        overwrite: start anew where the folder contains a run.
         quiet: show no progress.
         checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
         until: stop after so many frames per seed, as if by a signal.
         tell: called now and then with the frames per seed so far and each seed's reward per 1,000 frames,
             lately and with open episodes (see `uavnav.runs.lately`).
         processes: how many workers train the seeds; by default one for each core, where that pays.
-        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see
+        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs besides the tables, see
             `uavnav.loggers`.
         fit: trains all seeds in this process, instead of `alone`; a recipe has one.
 
     Returns:
-        The finished run; at once, where the folder already holds this very run.
+        The finished run; at once, where the folder already contains this very run.
 
     Raises:
         ConfigError, LayoutError, RunError: before anything is written.
@@ -203,7 +203,7 @@ def train(
             f"out={folder}: its run began in {n} processes; uavnav train {config.algorithm} goes on with it"
         )
     if n > 1 and (own := machine.own_parts(config)):
-        raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")
+        raise ConfigError(f"processes={n}: {own} is known only to this process; give processes=1")
     with contextlib.closing(logs), machine.use_threads(machine.threads(config, n)):
         return _together(recorder, n, quiet, tell) if n > 1 else fit(recorder, quiet, tell)
 

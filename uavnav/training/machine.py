@@ -105,7 +105,7 @@ def threads(config: TrainConfig, processes: int) -> int:
 
 
 def forks() -> bool:
-    """Whether a fork of this process can compute beside it: on Linux, as PyTorch's DataLoader does it
+    """Whether a fork of this process can compute next to it: on Linux, as PyTorch's DataLoader does it
     there.
     """
     return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
@@ -147,7 +147,7 @@ def _do(work: Callable[[], Result], said: Connection) -> None:
 def keep_memory_flat(weights: int = 0) -> None:
     """Let this process return large blocks to the system when they are freed.
 
-    glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small
+    glibc raises the size from which it does so up to 32 MB by itself: rollouts are then on a heap among small
     things that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Blocks as large
     as a layer's weights [bytes], and as its outputs for a batch of a few hundred, stay if the weights are
     larger still: each update has such blocks, and new pages would take half of its time. Other C libraries

@@ -10,7 +10,7 @@
  */
 
 const f32 = Math.fround;
-const VIEW_TOLERANCE = 1e-6; // so that rounding never hides a neighbour that is exactly beside the drone
+const VIEW_TOLERANCE = 1e-6; // so that rounding never hides a neighbour that is exactly at the drone's side
 const COSINES = Float32Array.from({ length: 360 }, (_, degrees) => exactCosine(degrees));
 const SINES = Float32Array.from({ length: 360 }, (_, degrees) => exactCosine(degrees - 90));
 

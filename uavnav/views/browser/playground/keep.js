@@ -30,7 +30,7 @@ function keepRows(columns, rows) {
   try {
     before = JSON.parse(localStorage.getItem(KEPT)) ?? [];
     localStorage.setItem(KEPT, JSON.stringify([...before, ...rows]));
-  } catch {} // a browser that stores nothing: the download holds what is new
+  } catch {} // a browser that stores nothing: the download contains what is new
   const lines = [...before, ...rows].map((row) => columns.map((column) => row[column]).join(","));
   download("human.csv", [`${[columns.join(","), ...lines].join("\n")}\n`]);
   return lines.length;

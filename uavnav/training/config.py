@@ -13,9 +13,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import torch
 from pydantic import AfterValidator, BeforeValidator, SerializeAsAny, model_validator
+from torch import nn
 
 from uavnav.errors import ConfigError, among, telling_line, told, unknown
-from uavnav.networks import ACTIVATIONS, Init
+from uavnav.networks import ACTIVATIONS, Init, mlp
 from uavnav.runs import default_folder
 from uavnav.settings import (
     AtLeast0,
@@ -33,6 +34,7 @@ from uavnav.settings import (
 )
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
+from uavnav.tasks.seeding import stream
 from uavnav.tasks.table import TASKS, make_task
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
@@ -209,6 +211,15 @@ class TrainConfig(Settings):
     def make(self, compile: bool) -> Any:
         """The algorithm with these settings, as `uavnav.training.loop` needs it."""
         raise NotImplementedError(f"{type(self).__name__} has no algorithm to make")
+
+    def network(self, purpose: str, outputs: int, gain: float = 1.0) -> nn.Sequential:
+        """A network of each seed, initialised from a stream of its own: [A, ..., 30] -> [A, ..., outputs].
+
+        gain: of the last layer, where the initialisation has gains.
+        """
+        sizes = [self.observation_size, *self.hidden, outputs]
+        generators = [stream(seed, purpose) for seed in self.seeds]
+        return mlp(sizes, self.activation, generators, self.init, gain, self.layer_norm)
 
     def check_machine(self) -> None:
         """Raise a ConfigError where what all seeds learn would not fit into the machine's memory."""

@@ -487,15 +487,10 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
         if ended.empty:
             continue
         seeds = per_seed(ended, ratio_of_means=True)
-        totals = {
-            key: one.column for key, one in METRICS.items() if one.scale is None and one.column in ended
-        }
-        own = [flown[[*totals.values()]].to_numpy(np.float64).T.copy() for _, flown in ended.groupby("seed")]
-        nested = dict(zip(totals, stats.nested_intervals(own), strict=True))
-        shown = []
-        for key, metric in METRICS.items():
-            one = nested[key] if key in nested else stats.interval(seeds[key].to_numpy())
-            shown.append(with_interval(*one[:3], min(metric.digits, 2)))
+        shown = [
+            with_interval(*stats.interval(seeds[key].to_numpy())[:3], min(metric.digits, 2))
+            for key, metric in METRICS.items()
+        ]
         rows.append([who, *_counts(ended), *shown])
     return rows if found else rows[:1]
 

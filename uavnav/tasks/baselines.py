@@ -160,7 +160,9 @@ def _clearances(observation: Tensor, world: World, places: Tensor, body: float) 
     towards, distance, empty, _ = seen(observation, world)
     centre = torch.where(empty[..., None], torch.inf, towards * (distance + body)[..., None])
     apart = (places[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)  # [..., ways, steps]
-    return (apart - body - world.drone_radius - DRIFT * torch.arange(1, places.shape[1] + 1)).amin(-1)
+    drift = DRIFT * torch.arange(1, places.shape[1] + 1)
+    clear: Tensor = apart - body - world.drone_radius - drift
+    return clear.amin(-1)
 
 
 # -- in a box ------------------------------------------------------------------------------------------------

@@ -82,9 +82,7 @@ class QConfig(ReplayConfig, ExploringConfig):
 
     @property
     def discount(self) -> float:
-        """Discount of Q in a target: gamma^n_steps, or gamma where a time limit may end it after fewer
-        steps.
-        """
+        """Discount of Q in a target: gamma^n_steps, or gamma where a time limit may end it sooner."""
         return self.gamma if self.keeps_next_observations else self.gamma**self.n_steps
 
     @property
@@ -142,9 +140,7 @@ PRESETS = {name: DQNConfig(preset=name) for name in DQNConfig.PRESETS}
 
 
 def make_network(config: QConfig) -> nn.Sequential:
-    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], which `config.head` reads as 100
-    values.
-    """
+    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], read by `config.head` as 100 values."""
     return config.network("value network", config.n_outputs)
 
 

@@ -125,9 +125,7 @@ def clip_bound(config: PPOConfig) -> float:
 
 
 def distribution(policy: nn.Module, rows: TensorDictBase) -> Any:
-    """The Categorical pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows'
-    observations.
-    """
+    """pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows' observations."""
     return Categorical(logits=policy(rows["observation"]), validate_args=False)
 
 
@@ -152,9 +150,7 @@ class PPOLoss(nn.Module):
         ]
 
     def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`;
-        a row each.
-        """
+        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`."""
         pi = distribution(self.policy, batch)
         log_ratio = (pi.log_prob(batch["action"]) - batch["action_log_prob"])[..., None]
         ratio, clipped = log_ratio.exp(), log_ratio.clamp(*self.log_bounds).exp()
@@ -177,17 +173,13 @@ def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
 
 
 def make_advantage(gamma: float, gae_lambda: float) -> GAE:
-    """Generalised advantage estimation over the time of a rollout; a collision and a time limit end its
-    sums.
-    """
+    """Generalised advantage estimation over a rollout's time; a collision and a time limit end its sums."""
     return GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, vectorized=False)
 
 
 @torch.no_grad()
 def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advantage: GAE) -> None:
-    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its
-    networks.
-    """
+    """Write log-probabilities, values, advantages and value targets into a rollout [A, W, T]."""
     batch["action_log_prob"] = distribution(policy, batch).log_prob(batch["action"])
     for rows in (batch, batch["next"]):
         rows["state_value"] = value(rows["observation"])
@@ -254,9 +246,7 @@ class PPO:
         self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
-        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and what became of it,
-        [A].
-        """
+        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and diagnostics, [A]."""
         config = self.config
         estimate(batch, self.policy, self.value, self.advantage)
         return {

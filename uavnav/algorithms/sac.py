@@ -95,9 +95,7 @@ def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
 
 
 class SACLoss(nn.Module):
-    """The three losses, one a row. TorchRL's DiscreteSACLoss has them, with one temperature for all
-    agents together.
-    """
+    """The three losses, one a row. TorchRL's DiscreteSACLoss has one temperature for all agents together."""
 
     def __init__(self, policy: nn.Module, twins: Twins, config: SACConfig) -> None:
         super().__init__()

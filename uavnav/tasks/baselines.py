@@ -1,6 +1,4 @@
-"""Scripted policies, of the form that `uavnav.evaluate_policy` takes: what a learned one must be better
-than.
-"""
+"""Scripted policies, of the form that `uavnav.evaluate_policy` takes: what a learned one must beat."""
 
 from __future__ import annotations
 

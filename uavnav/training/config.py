@@ -1,6 +1,4 @@
-"""What a training run is configured by: the fields that all algorithms share, and the checks that answer
-back.
-"""
+"""What a training run is configured by: the fields that all algorithms share, and their checks."""
 
 from __future__ import annotations
 
@@ -71,9 +69,7 @@ class TrainConfig(Settings):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
     COPIES: ClassVar[int] = 3
-    """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of
-    others.
-    """
+    """Numbers that an agent keeps for each weight of a network: itself, Adam's moments and others."""
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
@@ -180,9 +176,7 @@ class TrainConfig(Settings):
 
     @classmethod
     def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings in a run's config.yaml; what came later than the run is as a run had it then: the
-        default.
-        """
+        """The settings in a run's config.yaml; a setting that came later than the run has its default."""
         default = plain(cls())
         there = {key: value for key, value in mapping.items() if key != "algorithm"}
         for name, kind in parts_of(there.get("task", TASK)).items():
@@ -191,9 +185,7 @@ class TrainConfig(Settings):
 
     @classmethod
     def usual(cls, preset: str, task: str) -> dict[str, Any]:
-        """The settings of a preset in a task. They are built with a reward that asks nothing more of an
-        algorithm.
-        """
+        """The settings of a preset in a task, built with a reward that asks nothing more of an algorithm."""
         reward = cls.model_fields["reward"].default
         return plain(cls(preset=preset, task=task, reward=reward)) | {"reward": TASKS[task].REWARD}
 
@@ -252,9 +244,7 @@ class TrainConfig(Settings):
         self.check_memory(named, needed, "fewer frames, or more of them an iteration")
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
-        """Raise a ConfigError where something would take more bytes than the machine has; instead: what
-        to give.
-        """
+        """Raise a ConfigError where something takes more bytes than there are; instead: what to give."""
         if self.device != "cpu":
             return
         available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -274,9 +264,7 @@ class TrainConfig(Settings):
 
     @property
     def frames_between_rows(self) -> int:
-        """Collected per seed between two rows of progress, if an iteration has fewer; here unknown, one
-        row in all.
-        """
+        """Collected per seed between two rows of progress, if an iteration has fewer; unknown here."""
         return self.frames
 
     @property

@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds longer ambiguities noise activations tuning baselines policies report docs help notebooks layouts picture clean
+.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds longer ambiguities noise activations horizon learned tuning baselines policies report docs help notebooks layouts picture clean
 
 train: .venv/.installed
 	@echo "PPO with ReLU, 1,000,000 frames: one or two minutes, as the bar tells"
@@ -30,7 +30,7 @@ test: .venv/.installed-dev
 study: .venv/.installed
 	$(BIN)/uavnav study paper out=$(RESULTS) $(ENGINE)
 
-vectorised initial tuned sensitivity wide why algorithms worlds longer ambiguities noise activations: .venv/.installed
+vectorised initial tuned sensitivity wide why algorithms worlds longer ambiguities noise activations horizon learned: .venv/.installed
 	$(BIN)/uavnav study $@ out=$(RESULTS) report=false $(ENGINE)
 
 tuning: .venv/.installed-dev # Optuna comes with what tests need

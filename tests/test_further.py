@@ -9,7 +9,7 @@ from scipy import special
 from uavnav import stats, studies
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
-from uavnav.report import activations, ambiguities, longer, noise
+from uavnav.report import activations, ambiguities, horizon, learned, longer, noise
 from uavnav.report.longer import Where
 from uavnav.runs import Run, draws, paper, trials
 from uavnav.studies import search
@@ -99,7 +99,9 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
 
 
 def test_folders_without_these_studies_have_no_tables(tmp_path):
-    assert [study.gather([tmp_path]) for study in (longer, noise, ambiguities, activations)] == [({}, [])] * 4
+    assert [
+        study.gather([tmp_path]) for study in (longer, noise, ambiguities, activations, horizon, learned)
+    ] == [({}, [])] * 6
 
 
 def test_mahalanobis_distance_by_hand():
@@ -298,3 +300,49 @@ def test_runs_of_the_study_become_means_over_seeds_of_training_final_policies_an
     assert {*tables["activations"]["configuration"]} == {"PPO crelu, LayerNorm"}
     drawn = activations.figure(tables["activations"])
     assert "PPO with LayerNorm, crelu 11.0" in drawn.alt
+
+
+# -- horizon and learned -------------------------------------------------------------------------------------
+
+
+def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps():
+    short = horizon.Where(2_000, 10, 0.99)
+    flown = {
+        short: horizon.Seeds(100 + WIDE, 50 + WIDE),
+        short._replace(gamma=0.998): horizon.Seeds(104 + WIDE, 60 + WIDE),
+        short._replace(gamma=0.998, frames=20): horizon.Seeds(90 + WIDE, 70 + WIDE),
+    }
+    table = horizon.table(flown, {2_000: 95.0}).set_index(["frames", "gamma"])
+    half = 2.306 * np.sqrt(2.5 / 5 + 2.5 / 5)  # t of 8 degrees of freedom
+    found = table.loc[(10, 0.998)]
+    assert (found["gain"], found["value"], found["survive"], found["scripted"]) == (4, 104, 60, 95)
+    assert found["gain_high"] - found["gain"] == pytest.approx(half, abs=1e-3)
+    assert np.isnan(table.loc[[(10, 0.99), (20, 0.998)], "gain"]).all()  # itself, and alone
+    assert "gamma 0.998: 90" in horizon.figure(table.reset_index()).alt
+
+
+def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_scripted_one(tmp_path):
+    """Seeds earn 5 and 6, which is 5.5 ± 6.35; under the shield the scripted ones earn less."""
+    for shield, rules in ((False, {"reactive": 3.0, "dwa": 5.0}), (True, {"reactive": -2.0, "dwa": -3.0})):
+        protocol = Protocol("test", 2, 9, shield=shield)
+        if not shield:
+            run = evaluated(tmp_path / "learned/drone/ppo/tanh", 5.0, protocol)
+            episodes = Run(run).evaluation()
+        kept(run, protocol.file("evaluation"), episodes, protocol)
+        for who, reward in rules.items():
+            own = rows(0, *[(9, 9, 0, 0, 0, 9, reward)] * 2).assign(layout=[0, 1], danger=[0, 9])
+            kept(tmp_path / "learned/baselines", protocol.file(who), own, protocol)
+    tables, left_out = learned.gather([tmp_path])
+    ahead = tables["learned_ahead"].set_index("shield")
+    assert left_out == []
+    assert ahead.loc[False, ["who", "scripted", "gap", "verdict"]].tolist() == ["dwa", 5.0, 0.5, "open"]
+    assert ahead.loc[True, ["who", "gap", "verdict"]].tolist() == ["reactive", 7.5, "learned"]
+    assert ahead.loc[False, "gap_high"] == pytest.approx(0.5 + 12.706 / 2, abs=1e-3)
+    danger = tables["learned"].query("measure == 'danger'")
+    assert (danger["value"] == 50).all()
+    assert {*danger["who"]} == {"reactive", "dwa"}
+    shown = learned.listed(tables["learned"], "drone")
+    assert {*shown["who"]} == {
+        f"{who}{end}" for who in ("PPO best", "reactive", "dwa") for end in ("", " + shield")
+    }
+    assert learned.figure(tables["learned"]).alt == "The most reward per episode: drone: PPO best 5.50."

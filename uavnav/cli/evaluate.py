@@ -12,6 +12,7 @@ from pathlib import Path
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
 from uavnav.evaluation.across import Flyer, across, of_policy, of_run
+from uavnav.evaluation.scripts import task_of
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies, shipped
@@ -20,7 +21,7 @@ from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.faults import from_option
 from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
-from uavnav.tasks.table import EMPTY, TASKS, make_task, name_of
+from uavnav.tasks.table import TASKS, name_of
 from uavnav.tasks.task import Task
 
 MOST_SEEDS = 1_000
@@ -72,7 +73,7 @@ def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
     if isinstance(found, Run):
         limit, name = TASKS.get(found.config.get("task", "drone"), Task).limit(MAX_STEPS), "drone"
     else:
-        task = found.task or make_task(EMPTY, task=arguments.task)
+        task = found.task or task_of(arguments.task)
         limit, name = task.limit(MAX_STEPS), name_of(task)
     limit = limit if arguments.max_steps is None else arguments.max_steps
     faults = from_option(arguments.faults)
@@ -100,7 +101,7 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
         shown: str | Run = found
     else:
         files = _files(found, arguments)
-        task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:4])
+        task = on(found.task or task_of(protocol.task), *protocol[:4])
         measure = measure_of(protocol.layouts)
         rows = found.fly(task, f"on {protocol.layouts}", quiet, measure, arguments.measures)
         rows.attrs = protocol.header()

@@ -29,6 +29,7 @@ from uavnav.studies.run import Runner, Work, evaluated, let_go, make_layouts, tr
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.faults import from_option
 from uavnav.tasks.layouts import LayoutError
+from uavnav.tasks.protocol import USUAL
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 
@@ -183,7 +184,8 @@ def main(arguments: Namespace) -> int:
         if drawing is not None and not failed:
             found = drawing.nearest()
             failed = train(found)
-        for words in scripted(found, out / study.scripts) if study.scripts and not (untold or failed) else ():
+        flying = bool(study.scripts) and not (untold or failed)
+        for words in scripted(found, out / str(study.scripts), study.scripted) if flying else ():
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
             commands.run("evaluate", [*words, "--quiet"])
     if untold or failed:
@@ -198,11 +200,13 @@ def main(arguments: Namespace) -> int:
     return 0
 
 
-def scripted(configurations: Sequence[Configuration], folder: Path) -> list[list[str]]:
+def scripted(
+    configurations: Sequence[Configuration], folder: Path, names: Sequence[str] = USUAL
+) -> list[list[str]]:
     """The episodes of scripts that a folder lacks, in the tasks of configurations and on the rungs that are
     layouts of their own: each the words of `uavnav evaluate`.
     """
-    wanted: dict[Protocol | None, None] = {}
+    wanted: dict[Protocol | None, list[str]] = {}
     for configuration in (one for one in configurations if one.flights):
         own, flights = configuration.config, configuration.flights
         climbed = [name for name in layouts.RUNGS if name in configuration.across]
@@ -212,11 +216,13 @@ def scripted(configurations: Sequence[Configuration], folder: Path) -> list[list
             faults = from_option(flown.get(studies.FAULTS)) or own.faults
             task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
             bounds = {key: flown[key] for key in studies.PROTOCOL}
-            wanted[scripts.protocol_in(task, flown.get(studies.LAYOUTS, "test"), **bounds)] = None
+            bounds |= {"shield": flown.get(studies.SHIELD, False)}
+            protocol = scripts.protocol_in(task, flown.get(studies.LAYOUTS, "test"), **bounds)
+            wanted[protocol] = ["--measures"] * configuration.measures
     return [
-        scripts.words(rules, folder, one)
-        for one in wanted
-        if one is not None and (rules := scripts.missing(folder, one))
+        [*scripts.words(rules, folder, one), *more]
+        for one, more in wanted.items()
+        if one is not None and (rules := scripts.missing(folder, one, names))
     ]
 
 

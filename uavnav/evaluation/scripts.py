@@ -12,8 +12,9 @@ from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.faults import NO_FAULTS
-from uavnav.tasks.protocol import DRAWS, SCRIPTS, USUAL
-from uavnav.tasks.table import name_of
+from uavnav.tasks.moving import MovingWorld
+from uavnav.tasks.protocol import DRAWS, ORCA, SCRIPTS, USUAL
+from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
 
 SEEDS = 10
@@ -22,17 +23,28 @@ REWARDS = {"drone": 428.13, "goal": 10.89, "moving": 14.73, "space": 368.36, "sp
 """What `reactive` earns in a test episode of each task, with the time limit of `runs.evaluations.usual`."""
 
 
-def missing(folder: Path, protocol: Protocol) -> list[str]:
-    """The usual scripted policies whose rows are not in a folder."""
-    return [name for name in USUAL if not (folder / protocol.file(name)).exists()]
+def task_of(name: str) -> WrappedTask:
+    """The task of a name as scripted policies fly it: velocities are sensed where bodies move, for `orca`."""
+    task = make_task(EMPTY, task=name)
+    if isinstance(task.world, MovingWorld):
+        return task.replace(world=task.world.replace(sense_velocity=True))
+    return task
 
 
-def protocol_in(task: WrappedTask, layouts: str, episodes: int, max_steps: int) -> Protocol | None:
+def missing(folder: Path, protocol: Protocol, names: Sequence[str] = USUAL) -> list[str]:
+    """The scripted policies of some names that can fly so, and whose rows are not in a folder."""
+    able = [name for name in names if name != ORCA or isinstance(task_of(protocol.task).world, MovingWorld)]
+    return [name for name in able if not (folder / protocol.file(name)).exists()]
+
+
+def protocol_in(
+    task: WrappedTask, layouts: str, episodes: int, max_steps: int, shield: bool = False
+) -> Protocol | None:
     """How scripted policies fly a task of training; None where no command can give them its settings."""
-    if task.world != task.WORLD() or task.reward != task.REWARD:
+    if task.world not in (task.WORLD(), task_of(name_of(task)).world) or task.reward != task.REWARD:
         return None
     faults = None if task.faults == NO_FAULTS else task.faults
-    return Protocol(layouts, episodes, max_steps, faults, name_of(task))
+    return Protocol(layouts, episodes, max_steps, faults, name_of(task), shield=shield)
 
 
 def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[str, pd.DataFrame], list[str]]:
@@ -66,8 +78,13 @@ def words(names: Sequence[str], folder: Path, protocol: Protocol) -> list[str]:
     """What `uavnav evaluate` is given to write the rows of some scripted policies into a folder."""
     usual = Protocol()._asdict()
     own = {name: value for name, value in protocol._asdict().items() if value != usual[name]}
-    given = [word for name, value in own.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+    given = [word for name, value in own.items() for word in option(name, value)]
     return [*names, *given, *["--seeds", str(SEEDS)] * (DRAWS in names), "--out", str(folder)]
+
+
+def option(name: str, value: object) -> list[str]:
+    """A key of a protocol and its value as words of `uavnav evaluate`."""
+    return [f"--{name.replace('_', '-')}", *[str(value)] * (value is not True)]
 
 
 def _command(names: Sequence[str], folder: Path, protocol: Protocol) -> str:

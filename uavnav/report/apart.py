@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,10 +12,11 @@ import pandas as pd
 from uavnav.report.configurations import apart, one_line
 from uavnav.report.frames import RULE, name, to_rule
 from uavnav.runs import Run, run_folders
+from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, MODES
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import SCRIPTS, TASK_NAMES
 
 
 class Flight(NamedTuple):
@@ -23,8 +24,9 @@ class Flight(NamedTuple):
 
     who: str  # the configuration, or the scripted policy
     run: Run | None  # None: of a scripted policy
-    how: dict[str, Any]  # `layouts`, `max_steps`, `faults`, and `at`, the share of training
-    reward: Array  # a seed's mean over sampled episodes, [S]
+    how: dict[str, Any]  # `task`, `layouts`, `max_steps`, `faults`, `shield`, and `at`, the share of training
+    rows: pd.DataFrame  # sampled episodes
+    reward: Array  # a seed's mean over them, [S]
     gap: Array  # the same minus the reward of the scripted policy `reactive` on the same layouts, [S]
 
 
@@ -41,16 +43,13 @@ def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str
             rows = read_table(path, EVALUATED, "evaluate it again")
             scripted.append((path.name.split("-")[0].removesuffix(path.suffix), rows))
             if scripted[-1][0] == RULE:
-                rules[_key(rows)] = rows
-        none = pd.DataFrame()
-        found += [
-            _flight(who, None, rows, rules.get(_key(rows), none)) for who, rows in scripted if who in SCRIPTS
-        ]
+                rules[_key(_how(rows))] = rows
+        found += [_flight(who, None, rows, rules) for who, rows in scripted if who in SCRIPTS]
         for path in run_folders(home)[0]:
             try:
                 run = Run(path, rows=False)
                 who = name(run.algorithm, run.config["activation"])
-                found += [_flight(who, run, rows, rules.get(_key(rows), none)) for rows in _sampled(run)]
+                found += [_flight(who, run, rows, rules) for rows in _sampled(run)]
             except RunError as error:
                 left_out.append(one_line(error))
     return found, left_out
@@ -62,16 +61,22 @@ def _sampled(run: Run) -> Iterator[pd.DataFrame]:
         yield rows[rows["mode"] == MODES[1]]
 
 
-def _how(rows: pd.DataFrame) -> dict[str, Any]:
+def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:
     said = {str(key): value for key, value in rows.attrs.items()}
-    return {"layouts": "test", "faults": "none", "at": 1.0} | said
+    task = run.config["task"] if run else TASK_NAMES[0]
+    usual = Protocol().header() | {"task": task, "faults": "none", "at": 1.0, "shield": False}
+    return {str(key): value for key, value in usual.items()} | said
 
 
-def _key(rows: pd.DataFrame) -> tuple[Any, ...]:
+def _key(how: Mapping[str, Any]) -> tuple[Any, ...]:
     """What the episodes of a policy and of a scripted one must have in common."""
-    return tuple(_how(rows).get(key) for key in ("layouts", "episodes", "max_steps", "faults"))
+    return tuple(how.get(key) for key in ("task", "layouts", "episodes", "max_steps", "faults", "shield"))
 
 
-def _flight(who: str, run: Run | None, rows: pd.DataFrame, rule: pd.DataFrame) -> Flight:
+def _flight(
+    who: str, run: Run | None, rows: pd.DataFrame, rules: Mapping[tuple[Any, ...], pd.DataFrame]
+) -> Flight:
+    how = _how(rows, run)
+    rule = rules.get(_key(how), pd.DataFrame())
     gap = np.empty(0) if rule.empty or rows.empty else to_rule(rows, rule)
-    return Flight(who, run, _how(rows), rows.groupby("seed")["reward"].mean().to_numpy(), gap)
+    return Flight(who, run, how, rows, rows.groupby("seed")["reward"].mean().to_numpy(), gap)

@@ -36,7 +36,7 @@ from uavnav.tasks.world import World
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
 CURVE = "curve"
-APART = ("worlds", "longer", "ambiguities", "noise", "activations")
+APART = ("worlds", "longer", "ambiguities", "noise", "activations", "horizon", "learned")
 """Folders, in a report's, of the studies of these names, which modules of their own read."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
 NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")

@@ -19,6 +19,8 @@ from uavnav.report import (
     behaviour,
     figures,
     frames,
+    horizon,
+    learned,
     longer,
     noise,
     studies,
@@ -191,7 +193,7 @@ def gather(
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
             left_out += of_worlds.left_out
-        for study in (longer, ambiguities, noise, activations):
+        for study in (longer, ambiguities, noise, activations, horizon, learned):
             own, unread_too = study.gather(folders)
             numbers |= own
             left_out += unread_too

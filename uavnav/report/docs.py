@@ -1,4 +1,4 @@
-"""docs/results.md, and the blocks of results in README.md and docs/algorithms.md, from the report's source.
+"""docs/results.md, and the blocks of results in README.md and two pages of docs, from the report's source.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -18,7 +18,7 @@ from uavnav.runs.tables import RunError
 BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 TEN, TIME, MEMORY = "uavnav, 10 seeds", "1 M frames", "peak [GB]"
 """A row and two columns of the tables in docs/benchmarks.md."""
-PAGES = "docs/results.md", "docs/algorithms.md", "docs/benchmarks.md"
+PAGES = "docs/results.md", "docs/algorithms.md", "docs/benchmarks.md", "docs/learned-or-classical.md"
 
 
 def results(content: Content) -> str:
@@ -34,6 +34,11 @@ def summary(content: Content) -> str:
 def choice(content: Content, benchmarks: str) -> str:
     """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which has the costs."""
     return render("choice.md", content, costs=costs(benchmarks)).strip()
+
+
+def classical(content: Content) -> str:
+    """The results in docs/learned-or-classical.md."""
+    return render("learned.md", content, root="../results/").strip()
 
 
 def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
@@ -65,7 +70,7 @@ def between_marks(text: str, new: str, where: str = "README.md", block: str = "r
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write docs/results.md and the blocks of results in README.md and docs/algorithms.md."""
+    """Write docs/results.md and the blocks of results in README.md and two pages of docs."""
     parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
     parser.add_argument(
         "folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)"
@@ -73,11 +78,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     try:
         content = gather([Path(arguments.folder)])
-        readme, page, chosen, measured = map(Path, ("README.md", *PAGES))
+        readme, page, chosen, measured, flown = map(Path, ("README.md", *PAGES))
         texts = {page: results(content)}
         texts[readme] = between_marks(readme.read_text(), summary(content))
         block = choice(content, measured.read_text() if measured.exists() else "")
         texts[chosen] = between_marks(chosen.read_text(), block, str(chosen))
+        texts[flown] = between_marks(flown.read_text(), classical(content), str(flown))
         for path, text in texts.items():
             files.write(path, text.encode())
     except (RunError, OSError) as error:
@@ -86,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("uavnav.report.docs: stopped; nothing was written", file=sys.stderr)
         return 130
-    print(f"wrote {page} and the blocks of results in {readme} and {chosen}")
+    print(f"wrote {page} and the blocks of results in {readme}, {chosen} and {flown}")
     return 0
 
 

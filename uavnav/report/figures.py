@@ -10,7 +10,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import activations, arena, behaviour, charts, longer, worlds
+from uavnav.report import activations, arena, behaviour, charts, horizon, learned, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
 from uavnav.report.frames import LIMIT, RULE, least_to_most, name
@@ -80,6 +80,18 @@ def draw(
         )
         own = activations.figure(numbers[activations.STUDY], width)
         found.append(Figure("activations", "activations", own, caption))
+    if horizon.STUDY in numbers:
+        caption = (
+            "Does a longer horizon pay? Reward on test layouts, sampled, by frames of training: means and "
+            "95 % intervals over seeds. Dashed: the scripted policy."
+        )
+        found.append(Figure("horizon", "horizon", horizon.figure(numbers[horizon.STUDY], width), caption))
+    if learned.STUDY in numbers:
+        caption = (
+            "Learned or classical? Reward on test layouts: of PPO's `best` sampled, the mean and 95 % "
+            "interval over seeds; of scripted policies one number, of `random` ten seeds."
+        )
+        found.append(Figure("learned", "learned", learned.figure(numbers[learned.STUDY], width), caption))
     return found
 
 

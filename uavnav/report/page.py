@@ -16,6 +16,8 @@ from uavnav.report import (
     arena,
     evidence,
     frames,
+    horizon,
+    learned,
     longer,
     noise,
     studies,
@@ -54,13 +56,16 @@ SECTIONS = {
     "ambiguities": "Open choices",
     "noise": "Noise",
     "activations": "Activations",
+    "horizon": "Horizon",
+    "learned": "Learned or classical",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-FURTHER = {one.STUDY: one.STUDY for one in (longer, noise, activations)} | {"ambiguities": ambiguities.DRAWS}
+FURTHER = {one.STUDY: one.STUDY for one in (longer, noise, activations, horizon, learned)}
+FURTHER |= {"ambiguities": ambiguities.DRAWS}
 """Sections of further studies, and a table that each needs."""
 TITLE = "DQN against PPO, four activation functions: what replicates of the paper"
 """Of a report on other runs than the study's."""
@@ -79,6 +84,7 @@ TEMPLATES.globals |= {
     "evaluation": evaluation,
     "evidence": evidence,
     "frames": frames,
+    "learned": learned,
     "studies": studies,
     "whys": whys,
     "worlds": worlds,

@@ -9,13 +9,15 @@ or one of yours.
       n_seeds: 20               # any setting of an algorithm
       evaluate: {episodes: 10, max_steps: 500}  # by default 200 test layouts of 10,000 steps, or of the
                                 # task's own time limit where that is lower; false: not at all; with
-                                # `across: [density]` ladders too; a list stands for an evaluation each
+                                # `across: [density]` ladders too; `shield: true` is under the shield,
+                                # `measures: true` counts more columns; a list stands for an evaluation each
       dqn: {learning_starts: 1000}              # of one algorithm's configurations
     configurations:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in
                                 # {out}/rate-0.001/ppo/tanh and so on
     scripts: baselines          # scripted policies fly in the task of each configuration too, as it does;
                                 # their rows go there
+    scripted: [reactive, dwa]   # which of them; by default random, straight and reactive
     tune: ...                   # settings that are searched for first: `search`
     draw: ...                   # settings that are drawn first: `draws`
 
@@ -38,18 +40,18 @@ from pydantic import Field
 
 from uavnav import files
 from uavnav.algorithms import ALGORITHMS
-from uavnav.errors import ConfigError, choose_from, one_line, told, unknown, unknown_key
+from uavnav.errors import ConfigError, among, choose_from, one_line, told, unknown, unknown_key
 from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, Protocol
 from uavnav.settings import Whole, checked, shown
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import from_words
 from uavnav.tasks.layouts import LayoutError, judged_on
-from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
+from uavnav.tasks.protocol import LADDER_NAMES, SCRIPTS, SPLITS, USUAL
 from uavnav.tasks.table import TASKS
 from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "tune", "draw")
+KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "scripted", "tune", "draw")
 OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
 LISTS = ("hidden", "keep_at")
@@ -64,9 +66,13 @@ FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"
 """Of a value in a folder's name."""
 PATH = 1_000
 """Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
-LAYOUTS, FAULTS, AT = "layouts", "faults", "at"
+LAYOUTS, FAULTS, AT, SHIELD = "layouts", "faults", "at", "shield"
 """Keys of `evaluate`: another layout file than the test layouts; faults such as noise=5, instead of those of
-training; the share of training after which policies were kept, null for its end."""
+training; the share of training after which policies were kept, null for its end; whether all actions go
+through the shield.
+"""
+ACROSS, MEASURES = "across", "measures"
+"""Keys of `evaluate` that hold for all its evaluations: ladders, and whether rows have more columns."""
 
 
 class _Loader(files.Loader):
@@ -88,13 +94,15 @@ class Configuration(NamedTuple):
     config: TrainConfig
     out: Path
     evaluation: dict[str, Any] | None
-    """`episodes`, layouts of the split `test` or of `layouts`, `max_steps`, and perhaps `faults` and `at`;
-    None: it is not flown.
+    """`episodes`, layouts of the split `test` or of `layouts`, `max_steps`, and perhaps `faults`, `at` and
+    `shield`; None: it is not flown.
     """
     further: tuple[dict[str, Any], ...] = ()
     """Further evaluations, of the same keys."""
     across: tuple[str, ...] = ()
     """Ladders that it flies too, with as many layouts and steps."""
+    measures: bool = False
+    """Whether the rows of its evaluations have the columns of `evaluation.measures` too."""
     study: str = ""
     """The name of its study, which its `meta.json` keeps."""
 
@@ -122,6 +130,7 @@ class Study(NamedTuple):
     tune: Mapping[str, Any] | None = None
     scripts: str | None = None
     draw: Mapping[str, Any] | None = None
+    scripted: Sequence[str] = USUAL
 
 
 def names() -> list[str]:
@@ -179,8 +188,11 @@ def _study(name: str, said: Any) -> Study:
         below = isinstance(scripts, str) and not os.path.isabs(scripts) and ".." not in Path(scripts).parts
         if not below or not _is_folder(scripts):
             raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
+    named = said.get("scripted", USUAL)
+    if not isinstance(named, list | tuple) or not all(among(one, SCRIPTS) for one in named):
+        raise ConfigError(f"scripted={told(named)}; give a list of some of {', '.join(SCRIPTS)}")
     what, tune, draw = one_line(said.get("what", name)), said.get("tune"), said.get("draw")
-    return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, scripts, draw)
+    return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, scripts, draw, named)
 
 
 def only(study: Study, chosen: str | None) -> Study:
@@ -282,7 +294,7 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
         )
     if not (out / folder).resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
-    protocols, across = _protocols(said.get("evaluate", True), TASKS[config.task].limit(MAX_STEPS))
+    protocols, across, measures = _protocols(said.get("evaluate", True), TASKS[config.task].limit(MAX_STEPS))
     for protocol in protocols:
         name = protocol.get(LAYOUTS)
         sets = len(layouts.load(name, config.world)) if name else SPLITS["test"].n
@@ -296,7 +308,7 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
     if (own := judged_on(config.layouts)) not in ("test", config.layouts):
         protocols = [{LAYOUTS: own} | protocol for protocol in protocols]
     place = out / folder / config.algorithm / config.activation
-    return Configuration(config, place, next(iter(protocols), None), tuple(protocols[1:]), across)
+    return Configuration(config, place, next(iter(protocols), None), tuple(protocols[1:]), across, measures)
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
@@ -327,24 +339,27 @@ def _is_folder(name: str) -> bool:
     return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
-def _protocols(said: Any, limit: int) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
-    """How a configuration is flown, and across which ladders; limit: of steps, if none is said."""
+def _protocols(said: Any, limit: int) -> tuple[list[dict[str, Any]], tuple[str, ...], bool]:
+    """How a configuration is flown, across which ladders, and whether with more measures; limit: of steps, if
+    none is said.
+    """
     usual = dict(zip(PROTOCOL, (EPISODES, limit), strict=True))
     if isinstance(said, bool):
-        return [usual] * said, ()
-    known = (*PROTOCOL, LAYOUTS, FAULTS, AT, "across")
+        return [usual] * said, (), False
+    known = (*PROTOCOL, LAYOUTS, FAULTS, AT, SHIELD, ACROSS, MEASURES)
     if not isinstance(said, dict) or not said.keys() <= {*known}:
         raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join(known)}")
-    across = said.get("across", [])
+    across, measures = said.get(ACROSS, []), checked(f"evaluate.{MEASURES}", said.get(MEASURES, False), bool)
     if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
-    several = usual | {key: value for key, value in said.items() if key != "across"}
-    return [_protocol(one) for one in _combinations(several)], tuple(dict.fromkeys(across))
+    several = usual | {key: value for key, value in said.items() if key not in (ACROSS, MEASURES)}
+    return [_protocol(one) for one in _combinations(several)], tuple(dict.fromkeys(across)), measures
 
 
 def _protocol(said: Mapping[str, Any]) -> dict[str, Any]:
     """One evaluation, checked; without keys that say nothing."""
-    protocol = {key: value for key, value in said.items() if value is not None}
+    checked(f"evaluate.{SHIELD}", said.get(SHIELD, False), bool)
+    protocol = {key: value for key, value in said.items() if value is not None and value is not False}
     for key in PROTOCOL:
         protocol[key] = checked(f"evaluate.{key}", said[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)])
     for key in (LAYOUTS, FAULTS):

@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, rows_across, together
+from uavnav.evaluation.scripts import option
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
@@ -194,8 +195,9 @@ def unflown(configuration: Configuration) -> list[list[str]]:
     if configuration.evaluation is None:
         return []
     out = configuration.out
+    more = ["--measures"] * configuration.measures
     missing = [
-        _words(one)
+        [*_words(one), *more]
         for one in configuration.flights
         if not (out / Protocol(**one).file("evaluation")).exists()
     ]
@@ -210,7 +212,7 @@ def evaluated(configuration: Configuration) -> bool:
 
 
 def _words(protocol: Mapping[str, Any]) -> list[str]:
-    return [part for key, value in protocol.items() for part in (f"--{key.replace('_', '-')}", str(value))]
+    return [word for key, value in protocol.items() for word in option(key, value)]
 
 
 def make_layouts(out: Path, numbers: Sequence[int]) -> None:
@@ -394,7 +396,9 @@ class Runner:
         else:
             threads = machine.threads(configuration.config, len(job.work.workers))
             how = {"checkpoint_seconds": self.checkpoint_seconds}
-            words = ["uavnav.cli.worker", *job.worker.prepare(threads, configuration.evaluation, **how)]
+            own = configuration.evaluation
+            flown = own if own is None else own | {"measures": configuration.measures}
+            words = ["uavnav.cli.worker", *job.worker.prepare(threads, flown, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:

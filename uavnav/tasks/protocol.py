@@ -19,9 +19,7 @@ class Split(NamedTuple):
 
 
 SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Split(1_000, 1)}
-"""Train on one, choose on the second, judge on the third: seeds of one distribution, with no layout in
-common.
-"""
+"""Train on one, choose on the second, judge on the third: seeds of one distribution, no layout in common."""
 
 EPISODES = 200
 MAX_STEPS = 10_000
@@ -32,7 +30,9 @@ LIMITS = {"goal": 1_000}
 
 USUAL = ("random", "straight", "reactive")
 """Policies that need no training, which learned ones are compared with; what they do is in `baselines`."""
-SCRIPTS = (*USUAL, "apf", "vfh", "dwa", "orca")
+ORCA = "orca"
+"""The one that needs velocities, so that it flies only where bodies move."""
+SCRIPTS = (*USUAL, "apf", "vfh", "dwa", ORCA)
 """All of them, with those of `classics`."""
 DRAWS = "random"
 """The one that draws its actions, so that its seeds differ."""

@@ -1,0 +1,105 @@
+"""The study `horizon`: what the discount gamma does, by how long PPO trains and how long an episode may last.
+
+The paper prints no gamma; Stable-Baselines3's default, 0.99, is what it most likely had: steps beyond some
+hundred hardly count. Letters: S seeds of a configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from uavnav import stats, style
+from uavnav.report.apart import flights
+from uavnav.report.frames import RULE
+from uavnav.stats import Array
+
+STUDY = "horizon"
+USUAL = 0.99
+"""The gamma that others are compared with."""
+
+
+class Where(NamedTuple):
+    """Which policies, and how they were flown."""
+
+    limit: int  # of an episode's steps
+    frames: int  # of training
+    gamma: float
+
+
+class Seeds(NamedTuple):
+    """A number a seed, [S] each."""
+
+    reward: Array  # mean over test episodes, sampled
+    survive: Array  # share of them that reach the time limit [%]
+
+
+def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
+    """The study's table by its name, none where there is no such study; a line for what cannot be read."""
+    found, left_out = flights(folders, STUDY)
+    flown = {
+        Where(one.how["max_steps"], round(one.how["at"] * one.run.frames), one.run.config["gamma"]): Seeds(
+            one.reward, 100 * one.rows.groupby("seed")["truncated"].mean().to_numpy()
+        )
+        for one in found
+        if one.run and len(one.reward)
+    }
+    rules = {one.how["max_steps"]: float(one.reward.mean()) for one in found if one.who == RULE}
+    return ({STUDY: table(flown, rules)} if flown else {}), left_out
+
+
+def table(flown: Mapping[Where, Seeds], rules: Mapping[int, float]) -> pd.DataFrame:
+    """A row a time limit, length of training and gamma.
+
+    rules: the scripted policy's reward by time limit. Columns: n; `value`, the reward; `survive`; `gain`, the
+    reward over that with `USUAL`; each with its 95 % interval; `scripted`.
+    """
+    rows = []
+    for where, own in sorted(flown.items()):
+        usual = flown.get(where._replace(gamma=USUAL))
+        gain = stats.difference([own.reward], [usual.reward] if usual and where.gamma != USUAL else [])
+        intervals = {
+            "value": stats.difference([own.reward], []),
+            "survive": stats.difference([own.survive], []),
+            "gain": gain if usual and where.gamma != USUAL else stats.Interval(np.nan, np.nan, np.nan, 0),
+        }
+        row = where._asdict() | {"n": len(own.reward), "scripted": rules.get(where.limit, np.nan)}
+        for name, one in intervals.items():
+            row |= {name: one.value, f"{name}_low": one.low, f"{name}_high": one.high}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+@matplotlib.rc_context(style.STYLE)
+def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
+    """Reward by frames of training: a panel a time limit, a line a gamma."""
+    limits = [*found.groupby("limit")]
+    side_by_side = (1, len(limits)) if width >= style.WIDTH else (len(limits), 1)
+    drawn = Figure(figsize=(width, 3.4 * side_by_side[0] + 0.6), layout="constrained")
+    grid = drawn.subplots(*side_by_side, squeeze=False).ravel()
+    looks = dict(
+        zip(sorted(found["gamma"].unique()), zip(style.COLOURS.values(), "os^D", strict=True), strict=False)
+    )
+    said = []
+    for axes, (limit, panel) in zip(grid, limits, strict=True):
+        for gamma, line in panel.groupby("gamma"):
+            ends = np.abs(line[["value_low", "value_high"]].to_numpy().T - line["value"].to_numpy())
+            colour, marker = looks[gamma]
+            axes.errorbar(line["frames"] / 1e6, line["value"], ends, color=colour, marker=marker, capsize=3)
+            said.append(f"{limit:,} steps, gamma {gamma:g}: {style.number(line['value'].iloc[-1])}")
+        axes.axhline(panel["scripted"].iloc[0], **style.RULED)
+        axes.set_title(f"at most {limit:,} steps")
+        axes.set_xlabel("million frames")
+        axes.set_ylabel("reward per episode")
+    handles = [
+        style.mark(marker, f"γ = {gamma:g}", markerfacecolor=colour, markeredgecolor=colour)
+        for gamma, (colour, marker) in looks.items()
+    ]
+    style.legend(drawn, [*handles, matplotlib.lines.Line2D([], [], label=style.RULE, **style.RULED)], 4)
+    return style.Drawn(drawn, f"Reward after the longest training: {'; '.join(said)}.")

@@ -1,0 +1,113 @@
+"""The study `learned`: PPO's preset `best` and scripted policies, task by task, also under the shield."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from uavnav import stats, style
+from uavnav.report.apart import Flight, flights
+from uavnav.runs.metrics import OWN, PER_EPISODE, of_episodes
+from uavnav.tasks.faults import from_words
+
+STUDY, AHEAD = "learned", "learned_ahead"
+LEARNED = "PPO best"
+USUAL = 2_000
+"""Steps, the time limit of the study's evaluations; a goal has less."""
+MEASURES = {
+    "reward": "reward",
+    "collisions": PER_EPISODE["collisions"],
+    "survive": "reach the time limit [%]",
+} | {
+    name: OWN[name].label for name in ("success", "spl", "barn", "danger", "separation", "curvature", "jerk")
+}
+"""Columns of `metrics.of_episodes` in words, in the order of the tables."""
+
+
+def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
+    """The study's tables by name, none where there is no such study; a line for what cannot be read.
+
+    learned: a row a task, policy, shield and measure; learned_ahead: of `ahead`.
+    """
+    found, left_out = flights(folders, STUDY)
+    if not any(one.run for one in found):
+        return {}, left_out
+    own = table(found)
+    return {STUDY: own, AHEAD: ahead(own)}, left_out
+
+
+def place(one: Flight) -> str:
+    """The task that was flown, its noise, and the time limit where it is more than `USUAL` steps."""
+    noise = one.run.config["faults"]["noise"] if one.run else from_words(one.how["faults"]).noise
+    limit = one.how["max_steps"]
+    own = [str(one.how["task"]), f"{noise:g} px of noise" * bool(noise), f"{limit:,} steps" * (limit > USUAL)]
+    return ", ".join(filter(None, own))
+
+
+def table(found: Sequence[Flight]) -> pd.DataFrame:
+    """Means over seeds and 95 % intervals: columns place, who, shield, measure, value, low, high, n."""
+    rows: list[list[object]] = []
+    for one in sorted(found, key=lambda one: (place(one), one.how["shield"], not one.run)):
+        seeds = of_episodes(one.rows)
+        facts = [place(one), LEARNED if one.run else one.who, bool(one.how["shield"])]
+        names = [name for name in MEASURES if name in seeds]
+        rows += [[*facts, name, *stats.difference([seeds[name].to_numpy()], [])] for name in names]
+    return pd.DataFrame(rows, columns=["place", "who", "shield", "measure", "value", "low", "high", "n"])
+
+
+def ahead(found: pd.DataFrame) -> pd.DataFrame:
+    """What the learned policy earns over the scripted one with the most reward in a task.
+
+    A row a task and shield: `who` has most among the scripted ones, and its `scripted` reward; `gap` of the
+    learned one to it with its 95 % interval over seeds; `verdict`: learned, scripted or open.
+    """
+    rewards = found[found["measure"] == "reward"]
+    own, rules = rewards[rewards["who"] == LEARNED], rewards[rewards["who"] != LEARNED]
+    best = rules.sort_values("value").drop_duplicates(["place", "shield"], keep="last")
+    best = best[["place", "shield", "who", "value"]].rename(columns={"value": "scripted"})
+    both = own.drop(columns=["who", "measure"]).merge(best, on=["place", "shield"])
+    for name, of in (("gap", "value"), ("gap_low", "low"), ("gap_high", "high")):
+        both[name] = both.pop(of) - both["scripted"]
+    verdict = np.select([both["gap_low"] > 0, both["gap_high"] < 0], ["learned", "scripted"], "open")
+    return both.assign(verdict=verdict)
+
+
+def listed(found: pd.DataFrame, where: str) -> pd.DataFrame:
+    """A task's rows as a table crosses them: `who` says the shield too, and `measure` is in words."""
+    mine = found[found["place"] == where]
+    shield = mine["shield"].map({True: " + shield", False: ""})
+    return mine.assign(who=mine["who"] + shield, measure=mine["measure"].map(MEASURES))
+
+
+@matplotlib.rc_context(style.STYLE)
+def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
+    """Reward per episode by policy: a panel a task, without and with the shield."""
+    panels = [*found[found["measure"] == "reward"].groupby("place", sort=False)]
+    columns = 2 if width >= style.WIDTH else 1
+    rows = -(-len(panels) // columns)
+    drawn = Figure(figsize=(width, 2.9 * rows + 0.6), layout="constrained")
+    grid = drawn.subplots(rows, columns, squeeze=False).ravel()
+    looks = {False: ("o", style.INK, "as it is"), True: ("D", style.CLEAR, "under the shield")}
+    said = []
+    for axes, (where, panel) in zip(grid, panels, strict=False):
+        names = [*dict.fromkeys(panel["who"])]
+        for shield, part in panel.groupby("shield"):
+            marker, colour, _ = looks[bool(shield)]
+            at = part["who"].map(names.index) + (0.15 if shield else -0.15)
+            ends = np.abs(part[["low", "high"]].to_numpy().T - part["value"].to_numpy())
+            axes.errorbar(part["value"], at, xerr=np.nan_to_num(ends), fmt=marker, color=colour, capsize=3)
+        top = panel.loc[panel["value"].idxmax()]
+        said.append(f"{where}: {top['who']}{' + shield' * bool(top['shield'])} {style.number(top['value'])}")
+        style.name_rows(axes, names)
+        axes.set_title(where)
+        axes.set_xlabel("reward per episode")
+    for axes in grid[len(panels) :]:
+        axes.set_visible(False)
+    handles = [style.mark(marker, label, markerfacecolor=one) for marker, one, label in looks.values()]
+    style.legend(drawn, handles)
+    return style.Drawn(drawn, f"The most reward per episode: {'; '.join(said)}.")

@@ -7,7 +7,7 @@ import re
 import runpy
 
 import pytest
-from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
+from pages import ALL, CONFIGS, DOCS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
 from uavnav import runs, studies
@@ -243,6 +243,18 @@ def test_each_snippet_of_the_readme_runs(snippet, tmp_path, monkeypatch):
 def test_every_file_that_the_readme_links_to_exists():
     for target in re.findall(r"\]\(([^)#:]+)\)", ALL["README.md"]):
         assert (ROOT / target).is_file(), target
+
+
+LATER = {"activations.md", "learned-or-classical.md", "pqn.md"}
+"""Pages that came after the docs were given their 20,000 words."""
+
+
+def test_the_readme_has_at_most_900_words_in_110_lines_and_the_docs_20_000_words():
+    readme = ALL["README.md"]
+    assert len(readme.split()) <= 900
+    assert readme.count("\n") <= 110
+    pages = [path for path in DOCS.glob("*.md") if path.name not in LATER]
+    assert sum(len(path.read_text().split()) for path in pages) <= 20_000 - len(readme.split())
 
 
 def test_the_table_of_the_decisions_is_the_modules_row_by_row():

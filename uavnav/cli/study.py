@@ -148,8 +148,8 @@ def main(arguments: Namespace) -> int:
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     given = own.seeds, own.frames
+    make_engine = engines.chosen(own.engine, of_engine, Keys.names())
     if arguments.status:
-        engines.described(own.engine, of_engine, Keys.names())
         drawing = draws.plan(study, out, own.trials, *given)
         known = (
             drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
@@ -159,7 +159,7 @@ def main(arguments: Namespace) -> int:
             rows += [status(one) | ({"state": state} if state else {}) for one, state in search.planned(plan)]
         _print_status(rows, arguments.json)
         return 0
-    engine = engines.build(own.engine, of_engine, Keys.names())
+    engine = make_engine()
     with contextlib.ExitStack() as stack, Show(arguments.quiet) as show:
         stack.callback(let_go, engine)
         plan = search.plan(study, out.resolve(), own.trials, *given)

@@ -26,6 +26,7 @@ from uavnav.runs import draws
 from uavnav.runs.tables import RunError
 from uavnav.studies import Configuration, Study
 from uavnav.studies.run import trained
+from uavnav.studies.search import check_keys
 
 KEYS = {"draws": int, "nearest": int, "screen": dict, "choices": dict}
 
@@ -123,12 +124,7 @@ def plan(
 
 
 def _check(study: Study, said: Mapping[str, Any]) -> None:
-    for key in said:
-        if key not in KEYS:
-            raise unknown_key(str(key), KEYS)
-    for key, kind in KEYS.items():
-        if type(said.get(key)) is not kind or not said[key]:
-            raise ConfigError(f"{key}={said.get(key)}; give it as uavnav/studies/ambiguities.yaml does")
+    check_keys(said, KEYS, "ambiguities")
     known: set[str] = set()
     for entry in ({"algorithm": ""} | said["screen"], *study.configurations):
         for name in studies.algorithms(entry):

@@ -109,12 +109,7 @@ def plan(
     if (said := study.tune) is None:
         return None
     try:
-        for key in said:
-            if key not in KEYS:
-                raise unknown_key(str(key), KEYS)
-        for key, kind in KEYS.items():
-            if type(said.get(key)) is not kind or not said[key] or (kind is int and said[key] < 1):
-                raise ConfigError(f"{key}={said.get(key)}; give it as uavnav/studies/tuning.yaml does")
+        check_keys(said, KEYS, "tuning")
         found = Plan(study, out, trials or said["trials"], seeds, frames)
         if found.trials * len(found.said["space"]) > studies.MOST_CONFIGURATIONS:
             raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CONFIGURATIONS:,} in all")
@@ -132,6 +127,16 @@ def plan(
     except ConfigError as error:
         raise ConfigError(f"study {study.name}: tune: {error}") from error
     return found
+
+
+def check_keys(said: Mapping[str, Any], kinds: Mapping[str, type], example: str) -> None:
+    """Raise a ConfigError unless a part of a study's file has just these keys, of their kinds."""
+    for key in said:
+        if key not in kinds:
+            raise unknown_key(str(key), kinds)
+    for key, kind in kinds.items():
+        if type(said.get(key)) is not kind or not said[key] or (kind is int and said[key] < 1):
+            raise ConfigError(f"{key}={said.get(key)}; give it as uavnav/studies/{example}.yaml does")
 
 
 def _check(found: Plan, algorithm: str) -> None:

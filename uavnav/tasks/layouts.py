@@ -55,10 +55,10 @@ KINDS = {
     "drone": Kind(World, circles.generate, circles.validate, ships=True),
     "moving": Kind(moving.MovingWorld, moving.generate, moving.validate, ("speed_min", "speed_max")),
     "goal": Kind(goal.GoalWorld, goal.generate, goal.validate, ("goal_radius",), ships=True, beside=1),
-    "space": Kind(space.SpaceWorld, space.generate, circles.validate, k=space.DEFAULT_K),
+    "space": Kind(space.SpaceWorld, circles.generate, circles.validate, k=space.DEFAULT_K),
     "space-moving": Kind(
         space.SpaceMovingWorld,
-        space.generate_moving,
+        moving.generate,
         moving.validate,
         ("speed_min", "speed_max"),
         k=space.DEFAULT_K,

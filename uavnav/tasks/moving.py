@@ -54,10 +54,10 @@ class MovingWorld(World):
 
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
     """The circles that the same arguments give `circles.generate`, each with a velocity: its speed is uniform
-    in [speed_min, speed_max] px a step, its direction uniform.
+    in [speed_min, speed_max] px a step, its direction uniform, in 3D over the sphere.
 
     Returns:
-        Tensor [n, k, 5] float32 of (x, y, radius) px and (vx, vy) px a step.
+        Tensor [n, k, 5] float32 of (x, y, radius) px and (vx, vy) px a step, in 3D [n, k, 7].
 
     Raises:
         LayoutError: n, k or seed is negative.
@@ -65,9 +65,12 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     world = world if isinstance(world, MovingWorld) else MovingWorld()
     standing = circles.generate(n, k, seed, world)
     rng = np.random.Generator(np.random.PCG64([seed, VELOCITIES]))
-    share, turn = rng.random((2, n, k))
+    share, turn, *height = rng.random((len(world.size), n, k))
     speed = world.speed_min + (world.speed_max - world.speed_min) * share
-    velocity = speed * np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)])
+    up = [2 * one - 1 for one in height]  # of a direction that is uniform over the sphere
+    level = np.sqrt(1 - up[0] * up[0]) if up else 1.0
+    ways = level * np.cos(2 * np.pi * turn), level * np.sin(2 * np.pi * turn), *up
+    velocity = speed * np.stack(ways)
     return torch.cat([standing, torch.from_numpy(velocity.astype(np.float32)).movedim(0, -1)], -1)
 
 

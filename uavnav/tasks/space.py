@@ -11,15 +11,13 @@ import math
 from collections import namedtuple
 from typing import cast
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from uavnav.errors import ConfigError
 from uavnav.settings import key
-from uavnav.tasks import circles
 from uavnav.tasks.dynamics import direction
-from uavnav.tasks.moving import VELOCITIES, Moving, MovingWorld
+from uavnav.tasks.moving import Moving, MovingWorld
 from uavnav.tasks.sensing import VIEW_TOLERANCE, Scan, first_in_view, to_drone_frame
 from uavnav.tasks.state import State
 from uavnav.tasks.task import Task
@@ -79,39 +77,6 @@ class SpaceWorld(World):
 
 class SpaceMovingWorld(SpaceWorld, MovingWorld):
     """The same, and how fast spheres are: a slot may have their velocity, to the right, up and forward."""
-
-
-def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
-    """Draw n layouts of k spheres as `circles.generate` draws circles, with centres uniform in the box.
-
-    Returns:
-        Tensor [n, k, 4] float32 of (x, y, z, radius) px.
-
-    Raises:
-        LayoutError: n, k or seed is negative.
-    """
-    return circles.generate(n, k, seed, world if isinstance(world, SpaceWorld) else SpaceWorld())
-
-
-def generate_moving(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
-    """The spheres that the same arguments give `generate`, each with a velocity: its speed is uniform in
-    [speed_min, speed_max] px a step, its direction uniform over the sphere.
-
-    Returns:
-        Tensor [n, k, 7] float32 of (x, y, z, radius) px and (vx, vy, vz) px a step.
-
-    Raises:
-        LayoutError: n, k or seed is negative.
-    """
-    world = world if isinstance(world, SpaceMovingWorld) else SpaceMovingWorld()
-    standing = generate(n, k, seed, world)
-    rng = np.random.Generator(np.random.PCG64([seed, VELOCITIES]))
-    share, turn, height = rng.random((3, n, k))
-    speed = world.speed_min + (world.speed_max - world.speed_min) * share
-    up = 2 * height - 1  # of a direction that is uniform over the sphere
-    level = np.sqrt(1 - up * up)
-    velocity = speed * np.stack([level * np.cos(2 * np.pi * turn), level * np.sin(2 * np.pi * turn), up])
-    return torch.cat([standing, torch.from_numpy(velocity.astype(np.float32)).movedim(0, -1)], -1)
 
 
 def decode(action: Tensor, world: SpaceWorld) -> tuple[Tensor, Tensor, Tensor]:

@@ -7,12 +7,13 @@ engine is a file here and an entry in `ENGINES`.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import os
 import secrets
 import shutil
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, get_type_hints
@@ -52,22 +53,13 @@ class Engine(Protocol):
         """End all jobs that still run."""
 
 
-def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) -> Engine:
-    """An engine by its name and its settings; others: further keys, which a wrong one may have meant.
+def chosen(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) -> Callable[[], Engine]:
+    """What makes an engine, by its name and its settings; others: further keys, which a wrong one may mean.
 
     Raises:
-        ConfigError: there is no such engine or setting, what it needs is not installed, or there is no such
-            cluster.
+        ConfigError: there is no such engine or setting; when it is made, also where what it needs is not
+            installed, or there is no such cluster.
     """
-    kind, values = described(name, settings, others)
-    engine: Engine = kind(**values)
-    return engine
-
-
-def described(
-    name: str, settings: Mapping[str, Any], others: Collection[str] = ()
-) -> tuple[Any, dict[str, Any]]:
-    """The class of an engine and its settings, checked as `build` does."""
     if name not in ENGINES:
         raise unknown("engine", name, ENGINES)
     kind = getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), ENGINES[name])
@@ -76,7 +68,9 @@ def described(
     for key in settings:
         if key not in names:
             raise unknown_key(key, [*names, *others])
-    return kind, {key: checked(key, value, hints[key]) for key, value in settings.items()}
+    return functools.partial(
+        kind, **{key: checked(key, value, hints[key]) for key, value in settings.items()}
+    )
 
 
 class Probe:

@@ -318,6 +318,7 @@ def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps()
     assert (found["gain"], found["value"], found["survive"], found["scripted"]) == (4, 104, 60, 95)
     assert found["gain_high"] - found["gain"] == pytest.approx(half, abs=1e-3)
     assert np.isnan(table.loc[[(10, 0.99), (20, 0.998)], "gain"]).all()  # itself, and alone
+    assert table["verdict"].tolist() == ["–", "more", "–"]
     assert "gamma 0.998: 90" in horizon.figure(table.reset_index()).alt
 
 

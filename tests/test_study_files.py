@@ -126,6 +126,17 @@ def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scrip
     assert scripted(found, tmp_path, study.scripted) == [*flights, [*moving, "--shield", *out]]
 
 
+def test_scripted_policies_that_cannot_fly_a_task_are_skipped_in_a_study(tmp_path):
+    """The histogram of vfh is of a plane, and orca needs moving obstacles."""
+    tasks = "goal", "space", "space-moving"
+    text = "settings: {evaluate: {episodes: 5, max_steps: 9}}\nconfigurations:\n"
+    text += "".join(f"  - {{algorithm: ppo, folder: {name}, task: {name}}}\n" for name in tasks)
+    found = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
+    asked = scripted(found, tmp_path, ["vfh", "dwa", "orca"])
+    flown = [words[: words.index("--episodes")] for words in asked]
+    assert flown == [["vfh", "dwa"], ["dwa"], ["dwa", "orca"]]
+
+
 @pytest.mark.parametrize(
     ("layouts", "test"),
     [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/layouts/4/train.safetensors", "test")],

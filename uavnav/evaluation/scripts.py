@@ -13,7 +13,8 @@ from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.protocol import DRAWS, ORCA, SCRIPTS, USUAL
+from uavnav.tasks.protocol import DRAWS, ORCA, SCRIPTS, USUAL, VFH
+from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
 
@@ -33,8 +34,9 @@ def task_of(name: str) -> WrappedTask:
 
 def missing(folder: Path, protocol: Protocol, names: Sequence[str] = USUAL) -> list[str]:
     """The scripted policies of some names that can fly so, and whose rows are not in a folder."""
-    able = [name for name in names if name != ORCA or isinstance(task_of(protocol.task).world, MovingWorld)]
-    return [name for name in able if not (folder / protocol.file(name)).exists()]
+    world = task_of(protocol.task).world
+    able = {ORCA: isinstance(world, MovingWorld), VFH: not isinstance(world, SpaceWorld)}
+    return [one for one in names if able.get(one, True) and not (folder / protocol.file(one)).exists()]
 
 
 def protocol_in(

@@ -58,7 +58,8 @@ def table(flown: Mapping[Where, Seeds], rules: Mapping[int, float]) -> pd.DataFr
     """A row a time limit, length of training and gamma.
 
     rules: the scripted policy's reward by time limit. Columns: n; `value`, the reward; `survive`; `gain`, the
-    reward over that with `USUAL`; each with its 95 % interval; `scripted`.
+    reward over that with `USUAL`; each with its 95 % interval; `scripted`; `verdict`, by the interval of the
+    gain: more, less or open, or – where there is none.
     """
     rows = []
     for where, own in sorted(flown.items()):
@@ -73,7 +74,9 @@ def table(flown: Mapping[Where, Seeds], rules: Mapping[int, float]) -> pd.DataFr
         for name, one in intervals.items():
             row |= {name: one.value, f"{name}_low": one.low, f"{name}_high": one.high}
         rows.append(row)
-    return pd.DataFrame(rows)
+    found = pd.DataFrame(rows)
+    verdicts = [found["gain"].isna(), found["gain_low"] > 0, found["gain_high"] < 0]
+    return found.assign(verdict=np.select(verdicts, ["–", "more", "less"], "open"))
 
 
 @matplotlib.rc_context(style.STYLE)

@@ -222,6 +222,7 @@ HORIZON: Columns = {
     "reward": "{value:.1f} [{value_low:.1f}, {value_high:.1f}]",
     "reach the time limit [%]": "{survive:.1f} [{survive_low:.1f}, {survive_high:.1f}]",
     "more than with 0.99": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+    "earns": "{verdict}",
     "scripted policy": "{scripted:.1f}",
 }
 """Of `horizon.table`."""

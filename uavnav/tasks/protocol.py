@@ -32,7 +32,9 @@ USUAL = ("random", "straight", "reactive")
 """Policies that need no training, which learned ones are compared with; what they do is in `baselines`."""
 ORCA = "orca"
 """The one that needs velocities, so that it flies only where bodies move."""
-SCRIPTS = (*USUAL, "apf", "vfh", "dwa", ORCA)
+VFH = "vfh"
+"""The one whose histogram is of a plane, so that it flies in no box."""
+SCRIPTS = (*USUAL, "apf", VFH, "dwa", ORCA)
 """All of them, with those of `classics`."""
 DRAWS = "random"
 """The one that draws its actions, so that its seeds differ."""

@@ -106,13 +106,17 @@ def unfold(browser):
     browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
 
 
-def violations(browser):
-    """What axe finds on the page as it is."""
+def violations(browser, *impacts):
+    """What axe finds on the page as it is; impacts: only of these, such as `serious`."""
     browser.execute_script("(0, eval)(arguments[0])", AXE.read_text())
     found = browser.execute_async_script(
         "axe.run(document, {}).then((found) => arguments[arguments.length - 1](found.violations))"
     )
-    return [(rule["id"], [node["html"][:200] for node in rule["nodes"]]) for rule in found]
+    return [
+        (rule["id"], [node["html"][:200] for node in rule["nodes"]])
+        for rule in found
+        if not impacts or rule["impact"] in impacts
+    ]
 
 
 def find(browser, selector):

@@ -21,7 +21,7 @@ STUDY = """
 what: two configurations of eight seeds
 settings:
   {preset: vectorised, n_seeds: 8, total_frames: 12000, hidden: [8], compile: "off", max_steps: 300,
-   evaluate: {episodes: 3, max_steps: 50}}
+   evaluate: {episodes: 3, max_steps: 50, measures: true}}
 configurations:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """
@@ -136,7 +136,7 @@ def test_a_configuration_of_two_workers_is_the_run_that_verify_trains_again(alon
 
 def test_what_workers_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
     shutil.copytree(alone / "ppo/tanh", tmp_path / "run")
-    evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True)
+    evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True, measures=True)
     for name in ("evaluation-test-3-50.parquet", "behaviour-test-3-50.parquet"):
         assert (alone / "ppo/tanh" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 

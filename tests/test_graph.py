@@ -143,7 +143,7 @@ def test_compiled_policies_choose_by_the_weights_of_now(acts):
 def test_a_function_that_asks_for_values_is_refused_and_not_frozen_at_its_first_ones():
     for function in (lambda x: (x + float(x.sum()),), lambda x: (x + torch.from_numpy(x.numpy()).max(),)):
         with pytest.raises(
-            ConfigError, match=r"^no graph can be made \([^\n]+\); activations and rewards are torch op"
+            ConfigError, match=r"^no graph can be made \([^\n]+\); activations and rewards are only torch op"
         ):
             Graph(function)(torch.ones(3))
 

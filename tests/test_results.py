@@ -48,8 +48,8 @@ def test_each_configuration_has_its_seeds_of_a_million_frames_of_a_preset_and_wa
     assert run.evaluation().groupby(["mode", "seed"]).layout.nunique().tolist() == [200] * 2 * len(seeds)
 
 
-def test_all_that_is_committed_of_results_takes_less_than_60_mb():
-    assert sum(path.stat().st_size for path in RESULTS.rglob("*") if path.is_file()) < 60e6
+def test_all_that_is_committed_of_results_takes_less_than_100_mb():
+    assert sum(path.stat().st_size for path in RESULTS.rglob("*") if path.is_file()) < 100e6
 
 
 def test_rows_and_weights_are_those_that_the_runs_wrote_before_the_folders_were_put_in_order():
@@ -76,7 +76,7 @@ def test_rows_and_weights_are_those_that_the_runs_wrote_before_the_folders_were_
 
 def test_each_committed_configuration_can_be_trained_again_and_goes_beyond_its_preset_as_its_facts_say():
     paths = [*RESULTS.rglob("config.yaml")]
-    assert len(paths) == 310
+    assert len(paths) == 314
     for path in paths:
         said, meta = read_settings(path), read_settings(path.with_name("meta.json"))
         kind = ALGORITHMS[said["algorithm"]].config

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from browsing import NARROW, resize, violations
 from pages import ALL, DOCS, MINE, PAGES, ROOT, blocks
 
 import uavnav
@@ -118,6 +119,33 @@ def test_every_page_tells_whom_it_is_sent_to_what_it_is(site):
             assert told["og:image"].endswith("preview.png")
     # 1200 x 630
     assert (ROOT / "results" / "preview.png").read_bytes()[16:24] == bytes.fromhex("000004b000000276")
+
+
+@pytest.fixture(scope="module")
+def addresses(site, once):
+    """Of the pages that have no browser's test of their own, by name."""
+    others = {"fly.html", "404.html", "report/report.html"}
+    folder = once("site", build) / "site"
+    return {name: (folder / name).as_uri() for name in site.keys() - others if not name.startswith("api/")}
+
+
+@pytest.mark.slow
+def test_each_page_is_whole_at_390_px(chrome, addresses):
+    resize(chrome, NARROW, 844)
+    for name, address in addresses.items():
+        chrome.get(address)
+        assert chrome.execute_script("return document.documentElement.scrollWidth") <= NARROW, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["start", "extending", "studies", "sac", "results", "notebooks/4-your-own"])
+def test_axe_finds_nothing_serious_on_pages_of_each_kind_in_light_and_dark(chrome, addresses, name):
+    resize(chrome, NARROW, 844)
+    chrome.get(addresses[f"{name}.html"])
+    for colours in ("default", "slate"):
+        shown = "document.body.setAttribute('data-md-color-scheme', arguments[0])"
+        chrome.execute_script(shown, colours)
+        assert violations(chrome, "serious", "critical") == [], colours
 
 
 def test_no_page_loads_anything_from_the_network(site):

@@ -127,7 +127,7 @@ def test_names_of_scripted_policies_stand_for_rules_of_the_box():
     assert suited(BASELINES["random"], still) is BASELINES["random"]
     assert suited(BASELINES["straight"], still)(torch.zeros(2, 40), None).tolist() == [3, 3]
     assert suited(BASELINES["straight"], paper) is BASELINES["straight"]
-    assert suited(BASELINES["reactive"], still).func is baselines.reactive_in_the_box
+    assert suited(BASELINES["reactive"], still).func is BASELINES["reactive"]
     rule = suited(BASELINES["reactive"], moving_)
     assert (rule.func, rule.keywords) == (baselines.dodge_in_the_box, {"world": moving_.world})
 
@@ -143,7 +143,7 @@ def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_fli
 @pytest.mark.parametrize("fields", [{}, SENSED])
 def test_among_moving_spheres_the_rule_that_dodges_lasts_twice_as_long_as_the_one_for_a_still_box(fields):
     task = evaluation.on(make_task("test", fields, task="space-moving"), "test", 30, 300)
-    still = functools.partial(baselines.reactive_in_the_box, world=task.world)
+    still = functools.partial(BASELINES["reactive"], world=task.world)
     rules = suited(BASELINES["reactive"], task), still, BASELINES["random"]
     dodges, stands, random = (evaluation.fly({0: rule}, task).episodes["steps"].mean() for rule in rules)
     assert dodges > 1.7 * stands > 1.7 * random
@@ -158,7 +158,7 @@ def test_both_rules_turn_from_what_is_close_ahead_and_fly_on_where_it_is_far(slo
     yaw, pitch, _ = space.decode(baselines.dodge_in_the_box(seen), SpaceWorld())
     assert bool(yaw or pitch) == turns
     near = slot[3] * 90 - 9 * slot[2] <= 0
-    assert baselines.reactive_in_the_box(seen).item() == (40 if near else 3)
+    assert BASELINES["reactive"](seen, None, SpaceWorld()).item() == (40 if near else 3)
 
 
 # -- pictures ------------------------------------------------------------------------------------------------

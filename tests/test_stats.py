@@ -2,6 +2,7 @@
 censoring.
 """
 
+import functools
 import subprocess
 import sys
 import warnings
@@ -20,10 +21,10 @@ from uavnav import stats
 
 def test_what_is_drawn_in_small_tables_is_what_one_table_holds(monkeypatch):
     rows = np.random.default_rng(0).normal(size=(3, 2, 11))
-    ask = (stats.nested_intervals, lambda rows: stats.intervals(rows[0], [np.mean, stats.interquartile_mean]))
-    whole = [one(rows) for one in ask]
-    monkeypatch.setattr(stats, "_AT_ONCE", 100)  # nine draws of eleven episodes
-    assert [one(rows) for one in ask] == whole
+    ask = functools.partial(stats.intervals, rows[0], [np.mean, stats.interquartile_mean])
+    whole = ask()
+    monkeypatch.setattr(stats, "_AT_ONCE", 100)  # nine draws of eleven seeds
+    assert ask() == whole
 
 
 def test_three_p_values_adjusted_by_hand():
@@ -201,33 +202,6 @@ def test_intervals_of_many_rows_are_those_of_each_row_alone():
         assert np.array(found) == pytest.approx(np.array(alone), rel=1e-13, nan_ok=True)
     assert [one[0].n for one in stats.intervals(rows, both)] == [20, 20, 13, 20, 20, 20, 5, 20, 1, 0, 3]
     assert stats.intervals([], both) == []
-
-
-def test_episodes_within_seeds_widen_the_interval_and_a_seed_of_many_episodes_weighs_no_more():
-    rng = np.random.default_rng(2)
-    noisy = rng.normal(0.0, 5.0, (8, 10))
-    exact = np.repeat(noisy.mean(1, keepdims=True), 10, axis=1)
-    both = np.stack([noisy, exact], 1)
-    wide, narrow = stats.nested_intervals([*both])
-    assert stats.nested_intervals([*both[:, :1]]) == [wide]  # what stands beside it changes no draw
-    assert wide.value == pytest.approx(narrow.value)
-    assert wide.high - wide.low > 1.2 * (narrow.high - narrow.low)
-    [uneven] = stats.nested_intervals([np.zeros((1, 1000)), np.ones((1, 2))])
-    assert uneven.value == 0.5
-
-
-@pytest.mark.parametrize(("seeds", "spread"), [(3, 5.0), (5, 5.0), (8, 5.0), (8, 1.0)])
-def test_the_interval_of_few_seeds_of_10_episodes_covers_the_mean_in_88_to_100_percent_of_200_draws(
-    seeds, spread, monkeypatch
-):
-    """Seeds differ by 1, episodes of a seed by `spread`; of no seeds' own noise the intervals are too
-    wide.
-    """
-    monkeypatch.setattr(stats, "RESAMPLES", 500)
-    rng = np.random.default_rng(0)
-    drawn = [[rng.normal(rng.normal(7.0, 1.0), spread, (1, 10)) for _ in range(seeds)] for _ in range(200)]
-    found = [stats.nested_intervals(own, seed=draw)[0] for draw, own in enumerate(drawn)]
-    assert 0.88 <= np.mean([one.low <= 7.0 <= one.high for one in found]) <= 1.0
 
 
 def test_probability_of_improvement_of_known_configurations():

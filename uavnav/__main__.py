@@ -1,6 +1,4 @@
-"""`uavnav`, and the same as `python -m uavnav`: the list of commands, or one of them with the words after
-it.
-"""
+"""`uavnav`, and the same as `python -m uavnav`: the list of commands, or one of them with its words."""
 
 from __future__ import annotations
 

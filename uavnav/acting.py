@@ -95,9 +95,7 @@ SHOWN: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 def values_of(head: str, outputs: Tensor) -> Tensor:
-    """One number an action by an entry in `HEADS` with its numbers: outputs [..., outputs] -> [...,
-    actions].
-    """
+    """One number an action by an entry in `HEADS`: outputs [..., outputs] -> [..., actions]."""
     name, *numbers = head.split()
     return HEADS[name](outputs, *map(float, numbers))
 

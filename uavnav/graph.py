@@ -85,6 +85,11 @@ class Graph:
         return _compiled(self.function, tensors, self.options)
 
 
+def _split(tensors: Tensors, first: int, second: int) -> tuple[Tensors, Tensors, Tensors]:
+    """The first tensors, so many behind them, and the rest."""
+    return tensors[:first], tensors[first : first + second], tensors[first + second :]
+
+
 class Scan(Graph):
     """Successive steps of a state, each with inputs and outputs of its own, as one graph.
 
@@ -101,10 +106,6 @@ class Scan(Graph):
         super().__init__(step, **options)
         self.n_state, self.n_inputs, self.time = n_state, n_inputs, time
 
-    def _split(self, tensors: Tensors) -> tuple[Tensors, Tensors, Tensors]:
-        last = self.n_state + self.n_inputs
-        return tensors[: self.n_state], tensors[self.n_state : last], tensors[last:]
-
     def _compile(self, tensors: Tensors) -> Function:
         try:
             with torch._inductor.config.patch(SETTINGS):
@@ -115,7 +116,7 @@ class Scan(Graph):
             return graph
 
     def _traced(self, tensors: Tensors) -> Function:
-        state, inputs, constants = self._split(tensors)
+        state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
         first = *state, *(each[0] for each in inputs), *constants
 
         def apart(*tensors: Tensor) -> Tensors:  # a scan has no two names for one tensor
@@ -128,7 +129,7 @@ class Scan(Graph):
         step, frozen = _lifted(make_fx(apart)(*first))
 
         def steps(*tensors: Tensor) -> Tensors:
-            state, inputs, constants = self._split(tensors)
+            state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
             found = scan_op(step, [*state], [*inputs], constants)
             return *found[: self.n_state], *(each.movedim(0, self.time) for each in found[self.n_state :])
 
@@ -140,7 +141,7 @@ class Scan(Graph):
         step = Graph(self.function)
 
         def steps(*tensors: Tensor) -> Tensors:
-            state, inputs, constants = self._split(tensors)
+            state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
             outputs = []
             for each in zip(*inputs, strict=True):
                 found = step(*state, *each, *constants)
@@ -171,12 +172,8 @@ class Loop(Graph):
         super().__init__(self._one_by_one, **options)
         self.update, self.n_state, self.n_constants = update, n_state, n_constants
 
-    def _split(self, tensors: Tensors) -> tuple[Tensors, Tensors, Tensors]:
-        first = self.n_state + self.n_constants
-        return tensors[: self.n_state], tensors[self.n_state : first], tensors[first:]
-
     def _one_by_one(self, rates: Tensor, *tensors: Tensor) -> Tensors:
-        state, constants, batches = self._split(tensors)
+        state, constants, batches = _split(tensors, self.n_state, self.n_constants)
         total: list[Tensor] = []
         for index, rate in enumerate(rates):
             found, *following = self.update(rate, *state, *constants, *(batch[:, index] for batch in batches))
@@ -187,7 +184,7 @@ class Loop(Graph):
 
     def _traced(self, tensors: Tensors) -> Function:
         rates, *others = tensors
-        state, constants, batches = self._split(others)
+        state, constants, batches = _split(others, self.n_state, self.n_constants)
         first = rates[0], *state, *constants, *(batch[:, 0] for batch in batches)
         update = _each_once(make_fx(self.update)(*first))
         shape = update(*first)[0].shape

@@ -262,9 +262,7 @@ def shapes(weights: Mapping[str, Tensor]) -> dict[str, torch.Size]:
 
 
 def made_of(network: nn.Module) -> tuple[object, ...] | None:
-    """What an `mlp` is made of, layer by layer, whatever its weights and agents; None of any other
-    network.
-    """
+    """What an `mlp` is made of, layer by layer, whatever its weights and agents; None of another network."""
     layers = [*network.children()]
     if type(network) is not nn.Sequential or not all(
         type(layer) in (AgentLinear, Activation) for layer in layers

@@ -351,32 +351,6 @@ def chance_of_order(samples: Sequence[Array]) -> float:
     return float(chance.mean())
 
 
-def nested_intervals(episodes: Sequence[Array], seed: int = 0) -> list[Interval]:
-    """Means over seeds of each seed's mean: seeds are resampled, then episodes within each seed.
-
-    episodes: [M, E] a seed, whose M columns share their draws; the result is an interval a column.
-    """
-    rng = np.random.default_rng(seed)
-    means = np.array([own.mean(1) for own in episodes])
-    if len(means) < 2:
-        return [Interval(float(one), np.nan, np.nan, 1) for one in means.ravel()]
-    drawn = np.array([_resampled_means(own, rng) for own in episodes])
-    seeds = rng.integers(len(means), size=(RESAMPLES, len(means)))
-    found = []
-    for value, of_seeds in zip(means.T, drawn.transpose(1, 2, 0), strict=True):
-        low, high = np.quantile(np.take_along_axis(of_seeds, seeds, 1).mean(1), TAILS)
-        found.append(Interval(float(np.mean(value)), float(low), float(high), len(means)))
-    return found
-
-
-def _resampled_means(columns: Array, rng: np.random.Generator) -> Array:
-    """Means over E episodes drawn with replacement, the same for all columns: [M, E] -> [M, RESAMPLES]."""
-    n = columns.shape[1]
-    rows = np.diff([*range(0, RESAMPLES, max(1, _AT_ONCE // n)), RESAMPLES])
-    drawn = (rng.integers(n, size=(some, n)) for some in rows)
-    return np.concatenate([[column[places].mean(1) for column in columns] for places in drawn], 1)
-
-
 def holm(p_values: Sequence[float] | Array) -> Array:
     """P values [..., P] adjusted by Holm along the last axis; NaN stays NaN and does not count as a test."""
     p = np.asarray(p_values, dtype=np.float64)

@@ -32,9 +32,7 @@ __all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
 
 
 class C51Config(QConfig):
-    """Distributional DQN, which the paper does not have; the defaults are those of its authors and of
-    CleanRL.
-    """
+    """Distributional DQN, which the paper does not have; the defaults are its authors' and CleanRL's."""
 
     algorithm: ClassVar[str] = "c51"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
@@ -66,9 +64,7 @@ class C51Config(QConfig):
         return C51Loss(network, self)
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where networks, buffers or a projection would not fit into the machine's
-        memory.
-        """
+        """Raise a ConfigError where the memory is too small for networks, buffers or a projection."""
         super().check_machine()
         named = f"n_atoms={self.n_atoms}, batch_size={self.batch_size}: the projection of a target"
         self.check_memory(named, 4 * self.batch_size * self.n_atoms**2, "fewer atoms or a smaller batch_size")
@@ -101,9 +97,7 @@ class C51Config(QConfig):
 
     @property
     def n_outputs(self) -> int:
-        """How many outputs the network has: a logit an action and atom, and with `dueling` the state's in
-        front.
-        """
+        """How many outputs the network has: a logit an action and atom; with `dueling` the state's too."""
         return super().n_outputs * self.n_atoms
 
 
@@ -171,9 +165,7 @@ class C51Loss(LossModule):  # type: ignore[misc]
         return (features[..., None] * weight.transpose(1, 2)).sum(-2) + bias[:, 0]
 
     def _logits(self, outputs: Tensor) -> Tensor:
-        """Of each action and atom: [..., outputs] -> [..., actions, n]. It is linear, so it is true for
-        weights too.
-        """
+        """Of each action and atom: [..., outputs] -> [..., actions, n]; linear, so of weights too."""
         outputs = dueling(outputs, len(self.atoms)) if self.config.dueling else outputs
         return by_atom(outputs, len(self.atoms))
 

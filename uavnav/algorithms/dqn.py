@@ -24,18 +24,35 @@ from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 from uavnav.acting import Actor, Values, values_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
-from uavnav.networks import mlp
 from uavnav.settings import AtLeast0, Count, Share, key
-from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
+from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
 
 
-class QConfig(ReplayConfig):
+class ExploringConfig(TrainConfig):
+    """What acting epsilon-greedily needs, whatever learns."""
+
+    epsilon_start: Share = key(1.0, "of random actions at frame 0", "share")
+    epsilon_end: Share = key(0.05, "of random actions at the end of the fall", "share")
+    exploration_fraction: Share = key(0.1, "of total_frames, over which ε falls", "share")
+
+    @property
+    def final_epsilon(self) -> float:
+        return self.epsilon_end
+
+    def epsilon(self, frames: int) -> float:
+        """The share of random actions after so many frames: a linear fall."""
+        decay = self.exploration_fraction * self.total_frames
+        progress = min(frames / decay, 1.0) if decay else 1.0
+        return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
+
+
+class QConfig(ReplayConfig, ExploringConfig):
     """What Q-learning from replay needs, whatever its loss."""
 
     COPIES: ClassVar[int] = 4  # a target too
@@ -45,9 +62,6 @@ class QConfig(ReplayConfig):
     target_update_frames: Count = key(
         10_000, "between two copies of the network into the target", "frames per seed"
     )
-    epsilon_start: Share = key(1.0, "of random actions at frame 0", "share")
-    epsilon_end: Share = key(0.05, "of random actions at the end of the fall", "share")
-    exploration_fraction: Share = key(0.1, "of total_frames, over which ε falls", "share")
     adam_eps: AtLeast0 = key(1e-8, "Adam's ε")
     n_steps: Count = key(1, "whose rewards are in a target before Q takes over", "steps")
     double: bool = key(False, "double Q-learning: the best action is the network's, its value the target's")
@@ -63,18 +77,12 @@ class QConfig(ReplayConfig):
         raise NotImplementedError(f"{type(self).__name__} has no loss")
 
     @property
-    def final_epsilon(self) -> float:
-        return self.epsilon_end
-
-    @property
     def steps_in_target(self) -> int:
         return self.n_steps
 
     @property
     def discount(self) -> float:
-        """Discount of Q in a target: gamma^n_steps, or gamma where a time limit may end it after fewer
-        steps.
-        """
+        """Discount of Q in a target: gamma^n_steps, or gamma where a time limit may end it sooner."""
         return self.gamma if self.keeps_next_observations else self.gamma**self.n_steps
 
     @property
@@ -93,14 +101,8 @@ class QConfig(ReplayConfig):
         return max(self.target_update_frames // self.n_envs, 1) * self.n_envs
 
     def epsilon(self, frames: int) -> float:
-        """The share of random actions after so many frames: all, until learning starts, then a linear
-        fall.
-        """
-        if frames < self.learning_starts:
-            return 1.0
-        decay = self.exploration_fraction * self.total_frames
-        progress = min(frames / decay, 1.0) if decay else 1.0
-        return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
+        """The same, and all actions are random until learning starts."""
+        return 1.0 if frames < self.learning_starts else super().epsilon(frames)
 
 
 class DQNConfig(QConfig):
@@ -138,12 +140,8 @@ PRESETS = {name: DQNConfig(preset=name) for name in DQNConfig.PRESETS}
 
 
 def make_network(config: QConfig) -> nn.Sequential:
-    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], which `config.head` reads as 100
-    values.
-    """
-    sizes = [config.observation_size, *config.hidden, config.n_outputs]
-    generators = [stream(seed, "value network") for seed in config.seeds]
-    return mlp(sizes, config.activation, generators, config.init, layer_norm=config.layer_norm)
+    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], read by `config.head` as 100 values."""
+    return config.network("value network", config.n_outputs)
 
 
 def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:

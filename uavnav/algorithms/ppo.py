@@ -25,9 +25,9 @@ from torchrl.objectives.value import GAE
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError
-from uavnav.networks import Init, mlp
+from uavnav.networks import Init
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
-from uavnav.tasks.seeding import Streams, stream
+from uavnav.tasks.seeding import Streams
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig
@@ -41,7 +41,31 @@ LEARNED = ("observation", "action", "action_log_prob", "advantage", "value_targe
 """What `PPOLoss` is given of a step."""
 
 
-class PPOConfig(TrainConfig):
+class RolloutConfig(TrainConfig):
+    """What learning from minibatches of rollouts needs, whatever its loss."""
+
+    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames per seed")
+    minibatch_size: Count = key(64, "in a gradient step", "frames")
+    epochs: Whole = key(10, "passes over an iteration's frames", ge=1, le=1_000)
+
+    def check(self) -> None:
+        super().check()
+        if self.frames_per_batch % self.minibatch_size:
+            raise ConfigError(
+                f"minibatch_size={self.minibatch_size}; give a divisor of "
+                f"frames_per_batch={self.frames_per_batch}"
+            )
+
+    @property
+    def frames_between_rows(self) -> int:
+        return self.frames_per_batch
+
+    @property
+    def frames_per_iteration(self) -> int:
+        return self.frames_per_batch
+
+
+class PPOConfig(RolloutConfig):
     """Proximal Policy Optimization, sec. 3.3; the defaults are Stable-Baselines3's of the paper's time."""
 
     algorithm: ClassVar[str] = "ppo"
@@ -70,9 +94,7 @@ class PPOConfig(TrainConfig):
 
     lr: AtLeast0 = key(3e-4, "Adam's learning rate")
     anneal_lr: bool = key(False, "the learning rate falls linearly to 0 over the training")
-    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames per seed")
-    minibatch_size: Whole = key(64, "in a gradient step", "frames", ge=2)
-    epochs: Whole = key(10, "passes over an iteration's frames", ge=1, le=1_000)
+    minibatch_size: Whole = key(64, ge=2)
     adam_eps: AtLeast0 = key(1e-5, "Adam's ε")
     gae_lambda: Share = key(0.95, "λ of the advantage estimate")
     clip_epsilon: Share | None = key(0.2, "ε of eq. (2); null clips nothing")
@@ -84,19 +106,6 @@ class PPOConfig(TrainConfig):
         super().check()
         if self.critic_coeff == 0:
             raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
-        if self.frames_per_batch % self.minibatch_size:
-            raise ConfigError(
-                f"minibatch_size={self.minibatch_size}; give a divisor of "
-                f"frames_per_batch={self.frames_per_batch}"
-            )
-
-    @property
-    def frames_between_rows(self) -> int:
-        return self.frames_per_batch
-
-    @property
-    def frames_per_iteration(self) -> int:
-        return self.frames_per_batch
 
     def make(self, compile: bool) -> PPO:
         return PPO(self, compile)
@@ -107,14 +116,7 @@ PRESETS = {name: PPOConfig(preset=name) for name in PPOConfig.PRESETS}
 
 def make_networks(config: TrainConfig) -> tuple[nn.Sequential, nn.Sequential]:
     """Separate policy [A, ..., 30] -> [A, ..., 100] logits and value [A, ..., 30] -> [A, ..., 1] networks."""
-    inputs, outputs = config.observation_size, config.world.n_actions
-
-    def network(purpose: str, outputs: int, gain: float) -> nn.Sequential:
-        generators = [stream(seed, purpose) for seed in config.seeds]
-        sizes = [inputs, *config.hidden, outputs]
-        return mlp(sizes, config.activation, generators, config.init, gain, config.layer_norm)
-
-    return network("policy network", outputs, 0.01), network("value network", 1, 1.0)
+    return config.network("policy network", config.world.n_actions, 0.01), config.network("value network", 1)
 
 
 def clip_bound(config: PPOConfig) -> float:
@@ -123,9 +125,7 @@ def clip_bound(config: PPOConfig) -> float:
 
 
 def distribution(policy: nn.Module, rows: TensorDictBase) -> Any:
-    """The Categorical pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows'
-    observations.
-    """
+    """pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows' observations."""
     return Categorical(logits=policy(rows["observation"]), validate_args=False)
 
 
@@ -150,9 +150,7 @@ class PPOLoss(nn.Module):
         ]
 
     def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`;
-        a row each.
-        """
+        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`."""
         pi = distribution(self.policy, batch)
         log_ratio = (pi.log_prob(batch["action"]) - batch["action_log_prob"])[..., None]
         ratio, clipped = log_ratio.exp(), log_ratio.clamp(*self.log_bounds).exp()
@@ -175,17 +173,13 @@ def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
 
 
 def make_advantage(gamma: float, gae_lambda: float) -> GAE:
-    """Generalised advantage estimation over the time of a rollout; a collision and a time limit end its
-    sums.
-    """
+    """Generalised advantage estimation over a rollout's time; a collision and a time limit end its sums."""
     return GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, vectorized=False)
 
 
 @torch.no_grad()
 def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advantage: GAE) -> None:
-    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its
-    networks.
-    """
+    """Write log-probabilities, values, advantages and value targets into a rollout [A, W, T]."""
     batch["action_log_prob"] = distribution(policy, batch).log_prob(batch["action"])
     for rows in (batch, batch["next"]):
         rows["state_value"] = value(rows["observation"])
@@ -203,6 +197,20 @@ def minibatches(
     order = orders.draw(torch.randperm, n, device=rows["action"].device)
     first = n * torch.arange(n_agents, device=order.device)[:, None]
     return rows.flatten(0, 1)[(first + order).flatten()].reshape(n_agents, -1, size)
+
+
+def learn_in_epochs(
+    batch: TensorDictBase,
+    learner: Learner,
+    orders: Streams,
+    config: RolloutConfig,
+    keys: Sequence[str] = LEARNED,
+) -> dict[str, Tensor]:
+    """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses, [A]."""
+    epochs = [
+        learner.learn(minibatches(batch, orders, config.minibatch_size, keys)) for _ in range(config.epochs)
+    ]
+    return {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
 
 
 @torch.no_grad()
@@ -238,18 +246,11 @@ class PPO:
         self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
-        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and what became of it,
-        [A].
-        """
+        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and diagnostics, [A]."""
         config = self.config
         estimate(batch, self.policy, self.value, self.advantage)
-        epochs = [
-            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size))
-            for _ in range(config.epochs)
-        ]
-        losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
         return {
-            **losses,
+            **learn_in_epochs(batch, self.learner, self.orders, config),
             **diagnostics(batch, self.policy, clip_bound(config)),
             **probes.units(self.policy, self.probe),
         }

@@ -20,14 +20,12 @@ from torch import Tensor, nn
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.ppo import make_advantage, minibatches
-from uavnav.errors import ConfigError
-from uavnav.networks import mlp
-from uavnav.settings import AtLeast0, Count, Share, Whole, key
-from uavnav.tasks.seeding import Streams, stream
+from uavnav.algorithms.dqn import ExploringConfig
+from uavnav.algorithms.ppo import RolloutConfig, learn_in_epochs, make_advantage
+from uavnav.settings import AtLeast0, Share, Whole, key
+from uavnav.tasks.seeding import Streams
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
 
@@ -38,7 +36,7 @@ LEARNED = ("observation", "action", "value_target")
 """What `PQNLoss` is given of a step."""
 
 
-class PQNConfig(TrainConfig):
+class PQNConfig(RolloutConfig, ExploringConfig):
     """Parallelised Q-Network, which the paper does not have; defaults are near its authors' for MinAtar."""
 
     algorithm: ClassVar[str] = "pqn"
@@ -60,53 +58,15 @@ class PQNConfig(TrainConfig):
     lr: AtLeast0 = key(5e-4, "Adam's learning rate")
     max_grad_norm: AtLeast0 | None = key(10.0)
     layer_norm: bool = key(True)
-    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames per seed")
-    minibatch_size: Count = key(64, "in a gradient step", "frames")
-    epochs: Whole = key(2, "passes over an iteration's frames", ge=1, le=1_000)
+    epochs: Whole = key(2, ge=1, le=1_000)
     adam_eps: AtLeast0 = key(1e-8, "Adam's ε")
     q_lambda: Share = key(0.65, "λ of the targets")
-    epsilon_start: Share = key(1.0, "of random actions at frame 0", "share")
-    epsilon_end: Share = key(0.05, "of random actions at the end of the fall", "share")
-    exploration_fraction: Share = key(0.1, "of total_frames, over which ε falls", "share")
-
-    def check(self) -> None:
-        super().check()
-        if self.frames_per_batch % self.minibatch_size:
-            raise ConfigError(
-                f"minibatch_size={self.minibatch_size}; give a divisor of "
-                f"frames_per_batch={self.frames_per_batch}"
-            )
-
-    @property
-    def frames_between_rows(self) -> int:
-        return self.frames_per_batch
-
-    @property
-    def frames_per_iteration(self) -> int:
-        return self.frames_per_batch
-
-    @property
-    def final_epsilon(self) -> float:
-        return self.epsilon_end
-
-    def epsilon(self, frames: int) -> float:
-        """The share of random actions after so many frames: a linear fall."""
-        decay = self.exploration_fraction * self.total_frames
-        progress = min(frames / decay, 1.0) if decay else 1.0
-        return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
 
     def make(self, compile: bool) -> PQN:
         return PQN(self, compile)
 
 
 PRESETS = {name: PQNConfig(preset=name) for name in PQNConfig.PRESETS}
-
-
-def make_network(config: PQNConfig) -> nn.Sequential:
-    """The Q network: observation [A, ..., 30] -> [A, ..., 100]."""
-    sizes = [config.observation_size, *config.hidden, config.n_outputs]
-    generators = [stream(seed, "value network") for seed in config.seeds]
-    return mlp(sizes, config.activation, generators, config.init, layer_norm=config.layer_norm)
 
 
 class PQNLoss(nn.Module):
@@ -129,7 +89,7 @@ class PQN:
 
     def __init__(self, config: PQNConfig, compile: bool) -> None:
         self.config = config
-        self.network = make_network(config).to(config.device)
+        self.network = config.network("value network", config.n_outputs).to(config.device)
         self.loss = PQNLoss(self.network)
         self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon)
         # with max Q as a state's value, the advantage plus that value is G
@@ -147,12 +107,8 @@ class PQN:
             for rows in (batch, batch["next"]):
                 rows["state_value"] = self.network(rows["observation"]).amax(-1, keepdim=True)
             self.targets(batch)
-        epochs = [
-            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size, LEARNED))
-            for _ in range(config.epochs)
-        ]
         return {
-            **{name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]},
+            **learn_in_epochs(batch, self.learner, self.orders, config, LEARNED),
             "q_value": batch["state_value"].flatten(1).mean(1),
             "epsilon": torch.tensor(config.epsilon(frames)).item(),
             **probes.units(self.network, self.probe),

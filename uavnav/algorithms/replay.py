@@ -53,9 +53,7 @@ class ReplayConfig(TrainConfig):
             )
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's
-        memory.
-        """
+        """Raise a ConfigError where the memory is too small for networks or buffers of all seeds."""
         super().check_machine()
         capacity = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1

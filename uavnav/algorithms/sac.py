@@ -28,9 +28,7 @@ from torch import Tensor, nn
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
-from uavnav.networks import mlp
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
-from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
@@ -91,21 +89,13 @@ class Twins(nn.Module):
 
 def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
     """The policy [A, ..., 30] -> [A, ..., 100] logits, and the two Q networks; no layer is shared."""
-    sizes = [config.observation_size, *config.hidden, config.world.n_actions]
-
-    def network(purpose: str, gain: float) -> nn.Sequential:
-        generators = [stream(seed, purpose) for seed in config.seeds]
-        return mlp(sizes, config.activation, generators, config.init, gain, config.layer_norm)
-
-    return network("policy network", 0.01), Twins(
-        network("first Q network", 1.0), network("second Q network", 1.0)
-    )
+    n = config.world.n_actions
+    twins = (config.network(f"{which} Q network", n) for which in ("first", "second"))
+    return config.network("policy network", n, 0.01), Twins(*twins)
 
 
 class SACLoss(nn.Module):
-    """The three losses, one a row. TorchRL's DiscreteSACLoss has them, with one temperature for all
-    agents together.
-    """
+    """The three losses, one a row. TorchRL's DiscreteSACLoss has one temperature for all agents together."""
 
     def __init__(self, policy: nn.Module, twins: Twins, config: SACConfig) -> None:
         super().__init__()

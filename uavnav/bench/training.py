@@ -112,9 +112,7 @@ def part(launched: float, algorithm: str, seconds: float, which: str, **changed:
 
 
 def products(config: Any) -> dict[str, float]:
-    """Floating-point operations of the networks' products in an iteration of all seeds, as PyTorch counts
-    them.
-    """
+    """Floating-point operations of the networks' products in an iteration of all seeds, by PyTorch."""
     trainee, found = config.make(False), {}
     batches = iter(make_collector(make_training_env(config, False), trainee.actor, config))
     with Counted() as counted:

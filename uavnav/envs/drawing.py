@@ -1,6 +1,4 @@
-"""One state of a task as a picture, without a screen; of a box in 3D two views, from above and from
-the side.
-"""
+"""One state of a task as a picture, without a screen; a box in 3D is seen from above and from the side."""
 
 from __future__ import annotations
 
@@ -167,9 +165,7 @@ Disc = Callable[[float, float, float], tuple[float, float, float, float]]
 
 
 def _places(world: World, width: int) -> tuple[Point, Disc]:
-    """Where a place of the world, or a disc, is in the enlarged picture. This is the one place where y is
-    flipped.
-    """
+    """Where a place of the world, or a disc, is in the enlarged picture. Only here is y flipped."""
     return _placed(width / world.width, height_of(width, world))
 
 

@@ -190,9 +190,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._now = Now(state, self.task.observe(state)[0], begins_here=True)
 
     def _set_seed(self, seed: int | None) -> None:
-        """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are
-        agents.
-        """
+        """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... of agents."""
         first = 0 if seed is None else seed
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
@@ -222,16 +220,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return None if draws is None else draws.reshape(*self.batch_size, -1)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the future depends on: each row's state and observation, and the streams of headings
-        and faults.
-        """
+        """All that the future depends on: rows' states and observations, streams of headings and faults."""
         state = {name: value.clone() for name, value in self._now.state._asdict().items()}
         return {"state": state, "observation": self._now.observation.clone(), **self._chance.state_dict()}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Go on from where `state_dict` was taken, in an environment built alike; the next reset leaves
-        it there.
-        """
+        """Go on from where `state_dict` was taken, in an environment built alike, also at the next reset."""
         fields = {name: value.to(self.device).clone() for name, value in state_dict["state"].items()}
         self._now.state = self.task.state_class(**fields)
         self._now.observation = state_dict["observation"].to(self.device).clone()
@@ -263,9 +257,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """One step of every row, and the start of the next episode where one ended, as TorchRL's own but
-        in one go.
-        """
+        """One step of every row, and the next episode's start where one ended, as TorchRL's own in one go."""
         later, (headings, first) = self._rows(self._chance.step()), self._draw_starts()
         given = (tensordict.get("action"), headings, self.layouts, *self._first)
         found = self._advance(*self._now.state, *given, *(one for one in (later, first) if one is not None))
@@ -292,9 +284,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self
 
     def rollout(self, max_steps: int, policy: Any = None, *args: Any, **how: Any) -> TensorDictBase:
-        """TorchRL's; steps of an `Actor` that no episode's end breaks are one graph where the environment is
-        compiled.
-        """
+        """TorchRL's; unbroken steps of an `Actor` are one graph where the environment is compiled."""
         plain = type(policy) is Actor and not args and how == {"break_when_any_done": False}
         if not (self.compiled and plain):
             return super().rollout(max_steps, policy, *args, **how)

@@ -42,9 +42,7 @@ MODES = ("human", "rgb_array")
 
 
 def observation_space(world: World, stack: int = 1) -> spaces.Box:
-    """A Box of what the drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), or a stack of
-    such.
-    """
+    """A Box of what the drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), or a stack."""
     low = np.tile(np.array(world.observation_low, dtype=np.float32), stack)
     return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
@@ -212,9 +210,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
             self._viewer.close()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
-        """The picture of the current state, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600,
-        1608, 3].
-        """
+        """The picture of now, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600, 1608, 3]."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
             return None

@@ -71,9 +71,7 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
         self._env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """A value for each index: of what is around the drones and of spaces its own row's, of all else
-        the same.
-        """
+        """A value for each index: of spaces and of what is around a drone its own row's, else the same."""
         value = getattr(self._env, f"single_{attr_name}", getattr(self._env, attr_name))
         return [value[row] if attr_name in AROUND else value for row in self._get_indices(indices)]
 

@@ -62,9 +62,7 @@ class Episode:
         self._rewards = torch.stack([term.expand(shape) for term in terms]).sum(0).tolist()
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        """Put the drone at the start; layout: index in the split; heading: whole degrees -> observation
-        float32.
-        """
+        """Put the drone at the start; layout: index; heading: whole degrees -> observation float32."""
         self.layout, self.heading, self.steps = layout, heading, 0
         self.x, self.y = self.world.start
         return self._observe()

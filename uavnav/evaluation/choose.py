@@ -26,6 +26,7 @@ RUNS = {
         for algorithm, activation in paper.TABLES
     },
     **{f"{algorithm}-fast-tanh": f"algorithms/fast/{algorithm}/tanh" for algorithm in ("ppo", "dqn")},
+    "ppo-best": "learned/drone/ppo/tanh",
 }
 """By the name of a policy, its run below the folder of results."""
 LAYOUTS = "validation"

@@ -132,9 +132,7 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
 
 
 def _weights(folder: Path, files: Sequence[str]) -> tuple[dict[str, torch.Tensor], list[int]]:
-    """The tensors of policy files, of those kept on the way by their file too, and the seeds that they
-    contain.
-    """
+    """The tensors of policy files, of those kept on the way by their file too, and the seeds in them."""
     found: dict[str, torch.Tensor] = {}
     for name in files:
         try:

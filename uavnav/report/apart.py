@@ -12,6 +12,7 @@ import pandas as pd
 from uavnav.report.configurations import apart, one_line
 from uavnav.report.frames import RULE, name, to_rule
 from uavnav.runs import Run, run_folders
+from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, MODES
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
@@ -63,7 +64,8 @@ def _sampled(run: Run) -> Iterator[pd.DataFrame]:
 def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:
     said = {str(key): value for key, value in rows.attrs.items()}
     task = run.config["task"] if run else TASK_NAMES[0]
-    return {"task": task, "layouts": "test", "faults": "none", "at": 1.0, "shield": False} | said
+    usual = Protocol().header() | {"task": task, "faults": "none", "at": 1.0, "shield": False}
+    return {str(key): value for key, value in usual.items()} | said
 
 
 def _key(how: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -17,6 +17,8 @@ from uavnav.tasks.faults import from_words
 
 STUDY, AHEAD = "learned", "learned_ahead"
 LEARNED = "PPO best"
+USUAL = 2_000
+"""Steps, the time limit of the study's evaluations; a goal has less."""
 MEASURES = {
     "reward": "reward",
     "collisions": PER_EPISODE["collisions"],
@@ -40,9 +42,11 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
 
 
 def place(one: Flight) -> str:
-    """The task that was flown, and its noise."""
+    """The task that was flown, its noise, and the time limit where it is more than `USUAL` steps."""
     noise = one.run.config["faults"]["noise"] if one.run else from_words(one.how["faults"]).noise
-    return str(one.how["task"]) + f", {noise:g} px of noise" * bool(noise)
+    limit = one.how["max_steps"]
+    own = [str(one.how["task"]), f"{noise:g} px of noise" * bool(noise), f"{limit:,} steps" * (limit > USUAL)]
+    return ", ".join(filter(None, own))
 
 
 def table(found: Sequence[Flight]) -> pd.DataFrame:

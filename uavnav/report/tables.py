@@ -70,9 +70,7 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
 
 
 def in_brackets(found: stats.Interval, unit: str = "", places: int | None = None) -> str:
-    """A number and its interval in plain words; only the number where it has none. Shares and hundreds
-    are whole.
-    """
+    """A number and its interval, where it has one, in plain words. Shares and hundreds are whole."""
     if places is None:
         places = 0 if unit or abs(found.value) > 100 else digits(found)
     value, low, high = (number(round(one, places) + 0.0, max(places, 0)) for one in found[:3])  # no −0
@@ -299,9 +297,7 @@ def _interval(one: Record, columns: Sequence[str], digits: int = 2) -> str:
 
 
 def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
-    """A row a configuration; mean over seeds and interval of some columns, by their labels. frame: a row
-    a seed.
-    """
+    """A row a configuration: means over seeds, with intervals, of some columns. frame: a row a seed."""
     found = [
         {"configuration": one, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
         for one, part in frame.groupby("configuration", sort=False)
@@ -395,9 +391,7 @@ def operating(shares: pd.DataFrame) -> Rows:
 
 
 def predictions(frame: pd.DataFrame, definition: str) -> Rows:
-    """The paper's numbers as one more seed, with the interval of one: a row a configuration, a column a
-    metric.
-    """
+    """The paper's numbers as one more seed, with its interval: a row a configuration, a column a metric."""
 
     def shown(one: Record) -> str:
         own = _interval(one, ["paper", "low", "high"], decimals(one["metric"], definition))
@@ -477,9 +471,7 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequ
 
 
 def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
-    """Scripts, people and policies from elsewhere with the study's, on test layouts: all metrics, share
-    truncated.
-    """
+    """Scripts, people and others with the study's policies, on test layouts: all metrics, share truncated."""
     rows = [["who", "seeds", "episodes", "truncated", *map(str, METRICS.values())]]
     learned = {name(*key): episodes_of(one, SAMPLED) for key, one in main.items()}
     for who, part in [*found.items(), *learned.items()]:
@@ -487,15 +479,10 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
         if ended.empty:
             continue
         seeds = per_seed(ended, ratio_of_means=True)
-        totals = {
-            key: one.column for key, one in METRICS.items() if one.scale is None and one.column in ended
-        }
-        own = [flown[[*totals.values()]].to_numpy(np.float64).T.copy() for _, flown in ended.groupby("seed")]
-        nested = dict(zip(totals, stats.nested_intervals(own), strict=True))
-        shown = []
-        for key, metric in METRICS.items():
-            one = nested[key] if key in nested else stats.interval(seeds[key].to_numpy())
-            shown.append(with_interval(*one[:3], min(metric.digits, 2)))
+        shown = [
+            with_interval(*stats.interval(seeds[key].to_numpy())[:3], min(metric.digits, 2))
+            for key, metric in METRICS.items()
+        ]
         rows.append([who, *_counts(ended), *shown])
     return rows if found else rows[:1]
 
@@ -538,9 +525,7 @@ def tuned(found: pd.DataFrame) -> Rows:
 
 
 def reward(numbers: Mapping[str, pd.DataFrame], algorithm: str, which: str) -> str:
-    """Of an algorithm's test episodes with some settings; by default those of tanh, where it was not
-    tuned.
-    """
+    """Of an algorithm's test episodes with some settings; by default those of tanh, if it was not tuned."""
     tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
     if len(tuned):
         return _across(tuned, "settings", [which], lambda one: _interval(one, VALUE, 1))[0]
@@ -605,9 +590,7 @@ def of_words(rows: Rows) -> list[bool]:
 
 
 def markdown(rows: Rows) -> str:
-    """A table whose first row is its header and whose numbers, from the third column on, are
-    right-aligned.
-    """
+    """A table whose first row is its header; numbers, from the third column on, are right-aligned."""
     rule = ["---" if words or place < 2 else "---:" for place, words in enumerate(of_words(rows))]
     lines = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in [rows[0], rule, *rows[1:]])
     return "\n".join(f"| {line} |" for line in lines)

@@ -107,9 +107,7 @@ def _of_scripts(
     places: Mapping[str, Protocol | None],
     seeds: Mapping[Key, Table],
 ) -> tuple[dict[tuple[str, str], Table], dict[tuple[str, float], dict[str, Table]], list[str]]:
-    """What scripts reach in each task and on each rung that policies of the paper's flew, and a line for
-    missing rows.
-    """
+    """What scripts reach in each task and on rungs that the paper's policies flew; lines for missing rows."""
     from uavnav.evaluation.scripts import rows_of_scripts
     from uavnav.tasks import ladders, layouts
 

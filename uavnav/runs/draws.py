@@ -25,9 +25,7 @@ Seeds = Mapping[tuple[str, str], Array]
 
 
 def logged(run: Run) -> Array:
-    """The paper's metrics of each seed as Stable-Baselines3 logs them: [S, 6]; a seed without a log is left
-    out.
-    """
+    """The paper's metrics of each seed that has a log, as Stable-Baselines3 logs them: [S, 6]."""
     rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
     assert rhythm is not None, run.algorithm
     table = log_curve(run.episodes, run.frames, *rhythm)
@@ -35,9 +33,7 @@ def logged(run: Run) -> Array:
 
 
 def runs_of(folder: Path) -> tuple[dict[int, list[Run]], list[str]]:
-    """The finished runs of each draw, by its number, which is the name of its folder in a folder; and a line
-    for each other run.
-    """
+    """The finished runs of each draw, by its number, its folder's name; and a line for each other run."""
     found: dict[int, list[Run]] = {}
     left_out = []
     for path in sorted(folder.glob("*/*/*/config.yaml")):

@@ -1,4 +1,5 @@
-"""Policies that ship with the package: `ppo-tanh` is the paper's, `ppo-fast-tanh` of the preset `fast`.
+"""Policies that ship with the package: `ppo-tanh` is the paper's, `ppo-fast-tanh` of the preset `fast`, and
+`ppo-best` the best there is.
 
 `uavnav.evaluation.choose` writes them: of the seeds of each run whose policies are committed, the best on the
 validation split.
@@ -22,7 +23,7 @@ CHOSEN = FOLDER / "chosen.json"
 
 
 def shipped() -> dict[str, Path]:
-    """The file of each policy by its name, `<algorithm>[-<preset>]-<activation>`."""
+    """The file of each policy by its name: `<algorithm>[-<preset>]-<activation>`, or `<algorithm>-best`."""
     return {path.stem: path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
 
 

@@ -396,7 +396,9 @@ class Runner:
         else:
             threads = machine.threads(configuration.config, len(job.work.workers))
             how = {"checkpoint_seconds": self.checkpoint_seconds}
-            words = ["uavnav.cli.worker", *job.worker.prepare(threads, configuration.evaluation, **how)]
+            own = configuration.evaluation
+            flown = own if own is None else own | {"measures": configuration.measures}
+            words = ["uavnav.cli.worker", *job.worker.prepare(threads, flown, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:

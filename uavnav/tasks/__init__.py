@@ -1,3 +1,1 @@
-"""The tasks as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripted
-rules.
-"""
+"""The tasks as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripts."""

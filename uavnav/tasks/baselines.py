@@ -1,6 +1,4 @@
-"""Scripted policies, of the form that `uavnav.evaluate_policy` takes: what a learned one must be better
-than.
-"""
+"""Scripted policies, of the form that `uavnav.evaluate_policy` takes: what a learned one must beat."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ from uavnav.tasks.classics import apf, dwa, orca, vfh
 from uavnav.tasks.goal import SCALE, GoalWorld
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import SCRIPTS
-from uavnav.tasks.sensed import MARGIN, seen
+from uavnav.tasks.sensed import MARGIN, ahead, seen
 from uavnav.tasks.space import SpaceWorld, decode
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
@@ -34,9 +32,11 @@ def uniform_random(observation: Tensor, generator: torch.Generator | None = None
     return torch.randint(WORLD.n_actions, observation.shape[:-1], generator=generator)
 
 
-def straight_ahead(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Nine pixels a step and never a turn, whatever is in the way."""
-    return torch.full(observation.shape[:-1], FULL_SPEED)
+def straight_ahead(
+    observation: Tensor, generator: torch.Generator | None = None, world: World | None = None
+) -> Tensor:
+    """Nine pixels a step and never a turn, whatever is in the way; world: a box has other actions."""
+    return torch.full(observation.shape[:-1], _straight_or_left(world)[0])
 
 
 def reactive(
@@ -53,7 +53,11 @@ def reactive(
     if world is None and observation.shape[-1] % WITH_GOAL == 0:
         return towards_goal(observation, generator)
     world = world or _of_size(observation)
-    return torch.where(_safe_ahead(observation, world), FULL_SPEED, LEFT_IN_PLACE)
+    towards, distance, empty, _ = seen(observation, world)
+    closest = distance - FULL_SPEED * towards[..., -1]
+    if world.padding == "zeros":  # else an empty slot is as far as the sensor reaches
+        closest = torch.where(empty, torch.inf, closest)
+    return torch.where(closest.amin(-1) > world.drone_radius + MARGIN, *_straight_or_left(world))
 
 
 def _of_size(observation: Tensor) -> World:
@@ -61,13 +65,9 @@ def _of_size(observation: Tensor) -> World:
     return WORLD if observation.shape[-1] % WORLD.observation_size == 0 else MovingWorld(sense_velocity=True)
 
 
-def _safe_ahead(observation: Tensor, world: World) -> Tensor:
-    """Whether nothing that is sensed can be touched by a step straight ahead at full speed [...] bool."""
-    towards, distance, empty, _ = seen(observation, world)
-    closest = distance - FULL_SPEED * towards[..., -1]
-    if world.padding == "zeros":  # else an empty slot is as far as the sensor reaches
-        closest = torch.where(empty, torch.inf, closest)
-    return closest.amin(-1) > world.drone_radius + MARGIN
+def _straight_or_left(world: World | None) -> tuple[int, int]:
+    """The actions straight ahead at full speed, and to the left on the spot."""
+    return (AHEAD, LEFT_IN_THE_BOX) if isinstance(world, SpaceWorld) else (FULL_SPEED, LEFT_IN_PLACE)
 
 
 BEARINGS = torch.arange(-90, 91, 5)  # [degrees] to the right of the heading
@@ -88,8 +88,8 @@ def towards_goal(
     world = world or GOAL
     towards, distance, empty, _ = seen(observation, world)
     right, forward, away = observation[..., world.observation_size - 3 : world.observation_size].unbind(-1)
-    ahead = torch.deg2rad(BEARINGS)
-    along = towards @ torch.stack([ahead.sin(), ahead.cos()])  # [..., slots, bearings]
+    angles = torch.deg2rad(BEARINGS)
+    along = towards @ torch.stack([angles.sin(), angles.cos()])  # [..., slots, bearings]
     reach = (away * SCALE).clamp(max=LOOK)[..., None, None]
     flown = (distance[..., None] * along).clamp(min=0).minimum(reach)  # where it is nearest
     nearest = (distance[..., None] ** 2 - 2 * flown * distance[..., None] * along + flown**2).sqrt()
@@ -98,8 +98,7 @@ def towards_goal(
     apart = torch.where(free, (BEARINGS - bearing[..., None]).abs(), torch.inf)
     wanted = torch.where(free.any(-1), BEARINGS[apart.argmin(-1)], -90)
     angle = (-wanted).clamp(WORLD.n_turns // 2 + 1 - WORLD.n_turns, WORLD.n_turns // 2)
-    after = torch.deg2rad(angle)
-    closing = (towards * torch.stack([-after.sin(), after.cos()], -1)[..., None, :]).sum(-1)
+    closing = (towards * ahead(angle[..., None].float())[..., None, :]).sum(-1)
     room = torch.where(empty | (closing <= 0), torch.inf, (distance - world.drone_radius - MARGIN) / closing)
     safe = room.amin(-1).clamp(0, FULL_SPEED).long()
     return angle % WORLD.n_turns * WORLD.n_distances + torch.where(wanted.abs() >= 45, 0, safe)
@@ -113,24 +112,31 @@ DRIFT = 0.5  # [px a step] that a body may come nearer by itself
 ENOUGH = 40.0  # [px] of clearance, beyond which more is worth nothing
 
 
-def _ways() -> tuple[Tensor, Tensor, Tensor]:
-    """Ways to fly: places [W, STEPS, 2] px to the right and forward, first action [W], what each is worth
-    [W] px.
+def _flown(turn: Tensor, turning: Tensor, speed: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Where ways lead that turn for so many steps and then go straight on: places [W, T, axes] px in the
+    drone's frame, and what each way is worth [W] px.
+
+    turn [W, angles] degrees a step, turning [W] steps, speed [W] px a step while it turns.
     """
+    step = torch.arange(1, steps + 1)
+    turned = turn[:, None] * step.minimum(turning[:, None])[..., None]
+    pace = torch.where((step <= turning[:, None]) | (turning[:, None] == 0), speed[:, None], FULL_SPEED)
+    places = (pace[..., None] * ahead(turned.float())).cumsum(1)
+    return places, 0.1 * places[:, -1].norm(dim=-1)
+
+
+def _ways() -> tuple[Tensor, Tensor, Tensor]:
+    """Ways to fly: the first action [W], and what `_flown` says of each."""
     sides = (WORLD.n_turns // 2, WORLD.n_turns // 2 + 1 - WORLD.n_turns)  # [degrees] the greatest turns
     turn, turning, speed = torch.cartesian_prod(
         torch.tensor(sides), torch.tensor(TURNING), torch.tensor(SPEEDS)
     ).T
-    step = torch.arange(1, STEPS + 1)
-    heading = torch.deg2rad((turn[:, None] * step.minimum(turning[:, None])).float())
-    pace = torch.where((step <= turning[:, None]) | (turning[:, None] == 0), speed[:, None], FULL_SPEED)
-    places = (pace[..., None] * torch.stack([-heading.sin(), heading.cos()], -1)).cumsum(1)
     first = torch.where(turning > 0, turn % WORLD.n_turns, 0) * WORLD.n_distances + speed
     flies = (turning > 0) | (speed > 0)  # who stands still is hit from behind
-    return places[flies], first[flies], 0.1 * places[flies, -1].norm(dim=-1)
+    return first[flies], *_flown(turn[flies, None], turning[flies], speed[flies], STEPS)
 
 
-PLACES, FIRST, WORTH = _ways()
+FIRST, PLACES, WORTH = _ways()
 
 
 def dodge(
@@ -143,12 +149,18 @@ def dodge(
     et al. 1997). A way that leads farther counts a little more. It never stands still without a turn, and
     looks at no sensed velocities. world: as of `reactive`.
     """
-    world = world or _of_size(observation)
-    towards, distance, empty, _ = seen(observation, world)
-    centre = torch.where(empty[..., None], torch.inf, towards * (distance + BODY)[..., None])
-    apart = (PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)  # [..., ways, steps]
-    clear = (apart - BODY - world.drone_radius - DRIFT * torch.arange(1, STEPS + 1)).amin(-1)
+    clear = _clearances(observation, world or _of_size(observation), PLACES, BODY)
     return FIRST[(clear.clamp(max=ENOUGH) + WORTH).argmax(-1)]
+
+
+def _clearances(observation: Tensor, world: World, places: Tensor, body: float) -> Tensor:
+    """How clear each way [W, T, axes] keeps of bodies of a radius that drift nearer: [..., W] px."""
+    towards, distance, empty, _ = seen(observation, world)
+    centre = torch.where(empty[..., None], torch.inf, towards * (distance + body)[..., None])
+    apart = (places[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)  # [..., ways, steps]
+    drift = DRIFT * torch.arange(1, places.shape[1] + 1)
+    clear: Tensor = apart - body - world.drone_radius - drift
+    return clear.amin(-1)
 
 
 # -- in a box ------------------------------------------------------------------------------------------------
@@ -161,26 +173,8 @@ TURNED = (1, 11)  # steps of a way that turn, before it goes straight on at full
 SPHERE = 80.0  # [px] radius that a sensed body is taken to have
 
 
-def straight_in_the_box(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """As `straight_ahead`, by the actions of a box."""
-    return torch.full(observation.shape[:-1], AHEAD)
-
-
-def reactive_in_the_box(
-    observation: Tensor, generator: torch.Generator | None = None, world: World = BOX
-) -> Tensor:
-    """As `reactive`, and for the same reason never into what it senses: straight at full speed, else a yaw to
-    the left.
-
-    world: what is sensed.
-    """
-    return torch.where(_safe_ahead(observation, world), AHEAD, LEFT_IN_THE_BOX)
-
-
 def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
-    """As `_ways`, by yaw and pitch: places [W, LOOKED_AHEAD, 3] px to the right, up and forward, and the
-    rest.
-    """
+    """As `_ways`, by yaw and pitch."""
     action = torch.arange(BOX.n_actions)
     yaw, pitch, speed = decode(action, BOX)
     greatest = (yaw.abs() % 4 == 0) & (pitch.abs() % 4 == 0)
@@ -188,16 +182,10 @@ def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
     first = torch.cat([action[greatest & turns].repeat(len(TURNED)), action[~turns & (speed > 0)]])
     turning = torch.tensor(TURNED).repeat_interleave(int((greatest & turns).sum()))
     turning = torch.cat([turning, torch.zeros(len(first) - len(turning), dtype=torch.int64)])
-    step = torch.arange(1, LOOKED_AHEAD + 1)
-    turned = step.minimum(turning[:, None])
-    side, climb = (torch.deg2rad((angle[first, None] * turned).float()) for angle in (yaw, pitch))
-    pace = torch.where((step <= turning[:, None]) | (turning[:, None] == 0), speed[first, None], FULL_SPEED)
-    ahead = torch.stack([-side.sin() * climb.cos(), climb.sin(), side.cos() * climb.cos()], -1)
-    places = (pace[..., None] * ahead).cumsum(1)
-    return places, first, 0.1 * places[:, -1].norm(dim=-1)
+    return first, *_flown(torch.stack([yaw, pitch], -1)[first], turning, speed[first], LOOKED_AHEAD)
 
 
-BOX_PLACES, BOX_FIRST, BOX_WORTH = _ways_in_the_box()
+BOX_FIRST, BOX_PLACES, BOX_WORTH = _ways_in_the_box()
 BOX_STRAIGHT = int((BOX_FIRST == AHEAD).nonzero())
 EASY = 15.0  # [px] of clearance straight ahead with which it does not turn, for a turn costs
 
@@ -208,10 +196,7 @@ def dodge_in_the_box(
     """As `dodge`, of 67 ways of 10 steps that turn to eight sides, where straight on is not clear; it knows
     nothing of its pitch, which may be at its end. world: what is sensed.
     """
-    towards, distance, empty, _ = seen(observation, world)
-    centre = torch.where(empty[..., None], torch.inf, towards * (distance + SPHERE)[..., None])
-    apart = (BOX_PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)
-    clear = (apart - SPHERE - world.drone_radius - DRIFT * torch.arange(1, LOOKED_AHEAD + 1)).amin(-1)
+    clear = _clearances(observation, world, BOX_PLACES, SPHERE)
     best = BOX_FIRST[(clear.clamp(max=ENOUGH) + BOX_WORTH).argmax(-1)]
     return torch.where(clear[..., BOX_STRAIGHT] > EASY, AHEAD, best)
 
@@ -223,9 +208,8 @@ def chosen_among(world: World) -> tuple[int, int]:
 
 
 def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
-    """The policy that a name stands for in a task: a box has its own `straight`, and `reactive` is a
-    rule for what stands still, what moves, or a goal. It and the classics know the task's world. Other
-    policies are as they are.
+    """The policy that a name stands for in a task: `reactive` is a rule for what stands still, what moves, or
+    a goal. It and the classics know the task's world. Other policies are as they are.
 
     Raises:
         ValueError: a script is to fly where there are other turns and distances than it chooses among.
@@ -238,13 +222,12 @@ def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
         raise ValueError(
             f"{given}: scripts choose among {turns} turns and {distances} distances; leave them out"
         )
-    if policy in (uniform_random, straight_ahead):
-        return straight_in_the_box if isinstance(own, SpaceWorld) and policy is straight_ahead else policy
+    in_a_box = isinstance(own, SpaceWorld)
+    if policy is uniform_random or (policy is straight_ahead and not in_a_box):
+        return policy
     rule: Callable[..., Tensor] = policy
-    if policy is reactive and isinstance(own, SpaceWorld):
-        rule = reactive_in_the_box if task.STATIC else dodge_in_the_box
-    elif policy is reactive and not task.STATIC:
-        rule = dodge
+    if policy is reactive and not task.STATIC:
+        rule = dodge_in_the_box if in_a_box else dodge
     elif policy is reactive and isinstance(own, GoalWorld):
         rule = towards_goal
     return functools.partial(rule, world=own.replace(sensor_radius=task.trained_reach or own.sensor_radius))

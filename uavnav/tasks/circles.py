@@ -19,9 +19,7 @@ from uavnav.tasks.world import World
 
 
 class LayoutError(OneLineError, ValueError):
-    """A layout file cannot be found, read or trusted; the message says what is wrong and what would be
-    right.
-    """
+    """A layout file cannot be found, read or trusted; the message says what is wrong and what is right."""
 
 
 MOST_OBSTACLES = 20_000_000

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 MOST_REMEMBERED = 1_000
-"""Observations that one can come too late by, and that a policy can see at once: a state remembers them
-all.
-"""
+"""Observations that one can come too late by, and that a policy sees at once, for a state keeps all."""
 
 
 class Faults(Settings):
@@ -43,9 +41,7 @@ class Faults(Settings):
         return ",".join(found) or "none"
 
     def sizes(self, n_slots: int) -> list[int]:
-        """How many random numbers a row needs in a step: normal ones of noise, uniform ones of lost, and
-        of sticky.
-        """
+        """How many random numbers a row needs in a step: normal ones of noise, uniform of lost and sticky."""
         return [n_slots * (self.noise > 0), n_slots * (self.lost > 0), int(self.sticky > 0)]
 
     def disturbed(self, distance: Tensor, draws: Tensor) -> Tensor:

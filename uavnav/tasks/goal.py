@@ -175,9 +175,7 @@ def _room(places: Array, standing: Array, world: World) -> Array:
 
 @functools.lru_cache(maxsize=2)
 def _grid(width: int, height: int) -> tuple[Array, tuple[Array, Array], Array]:
-    """Places [P, 2] px, pairs of neighbours (index, index) [E] each once, and how far they are apart [E]
-    px.
-    """
+    """Places [P, 2] px, pairs of neighbours (index, index) [E] each once, and the px between them [E]."""
     columns, rows = width // GRID + 1, height // GRID + 1
     index = np.arange(columns * rows).reshape(columns, rows)
     places = GRID * np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), -1).reshape(
@@ -217,9 +215,7 @@ class Goal(Task):
         return dx, dy, torch.sqrt(dx * dx + dy * dy)
 
     def encode(self, state: State, found: Scan) -> Tensor:
-        """Eq. (13), then the direction to the goal, right and forward, and its distance / 1,000 px, at
-        most 1.
-        """
+        """Eq. (13), then the goal's direction, right and forward, and its distance / 1,000 px, at most 1."""
         dx, dy, distance = self.to_goal(state)
         scale = torch.where(distance > 0, 1 / distance, 0.0)
         right, forward = to_drone_frame(dx * scale, dy * scale, state.heading)
@@ -249,8 +245,6 @@ class Goal(Task):
         return torch.cat([place, torch.full_like(place[..., :1], self.world.goal_radius)], -1)
 
     def measure(self, before: State, after: State) -> dict[str, Tensor]:
-        """`succeeded` at the step that reaches the goal, and once an episode the length of its shortest
-        way [px].
-        """
+        """`succeeded` at the step that reaches the goal, and once an episode its shortest way [px]."""
         shortest = torch.where(before.steps == 0, self.layouts[before.layout][..., -1, 2], 0.0)
         return {"succeeded": self.succeeded(after).long(), "shortest": shortest * (after.steps > 0)}

@@ -62,9 +62,7 @@ def arc(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
 
 
 def reach(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's task with a sensor that reaches so many px; a proximity is still 1 at the reach of
-    its training.
-    """
+    """The policy's task with a sensor that reaches so many px; proximities are scaled as in training."""
     flown = task.replace(world=task.world.replace(sensor_radius=rung))
     return reached(flown, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
 
@@ -75,9 +73,7 @@ def reached(task: WrappedTask, own: float) -> WrappedTask:
 
 
 def speed(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's task with obstacles of up to so many px a step: the split of 2 px a step, its
-    velocities scaled.
-    """
+    """The policy's task with obstacles of up to so many px a step: the usual split, velocities scaled."""
     kind = SpaceMoving if isinstance(task.task, Space) else Moving
     usual = kind.WORLD()
     all_layouts, still = layouts.load(split, usual), len(usual.size) + 1  # numbers of a place and a radius

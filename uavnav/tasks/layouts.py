@@ -76,9 +76,7 @@ SHAPES = (*DRAWN_BY, "sensor_radius", "sensor_arc", "n_slots")
 """The same, and those that its size must fit; a header has those that are not as usual."""
 
 RUNGS = ("density", "slalom")
-"""By difficulty: `density-12/test` has 12 obstacles a layout; `slalom-80/test`, of the paper's task,
-gaps of 80 px.
-"""
+"""By difficulty: `density-12/test` has 12 obstacles a layout, `slalom-80/test` gaps of 80 px."""
 
 
 def is_rung(layouts: str | Path) -> bool:
@@ -87,17 +85,13 @@ def is_rung(layouts: str | Path) -> bool:
 
 
 def split_of(layouts: str | Path) -> str:
-    """The split, or the rung and its split, that a layout file's name stands for, or that its file's
-    header says.
-    """
+    """The split, or the rung and its split, that a name stands for, or that its file's header says."""
     file = layouts not in SPLITS and os.path.isfile(layouts)
     return _open(Path(layouts))[1].get("split", "") if file else str(layouts)
 
 
 def kind_of(world: World) -> str:
-    """The name in `KINDS` of a world's layouts: of its class, or of the nearest class that it derives
-    from.
-    """
+    """The name in `KINDS` of a world's layouts: of its class, or of the nearest that it derives from."""
     names = {kind.world: name for name, kind in KINDS.items()}
     found = next((names[one] for one in type(world).__mro__ if one in names), None)
     if found is None:
@@ -169,9 +163,7 @@ def load(layouts: str | Path, world: World | None = None) -> Tensor:
 
 
 def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
-    """A layout file from its name or path, or the tensor itself, valid for this world; raises as `load`
-    does.
-    """
+    """A layout file by name or path, or the tensor itself, valid for this world; raises as `load` does."""
     validate = KINDS[kind_of(world)].validate
     if isinstance(layouts, Tensor):
         validate(layouts, world)
@@ -337,26 +329,20 @@ def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
 
 
 def judged_on(layouts: str | Path) -> str:
-    """The test layouts that belong to a training split: of a rung its own, such as `density-12/test`;
-    else `test`.
-    """
+    """The test layouts of a training split: of a rung its own, such as `density-12/test`; else `test`."""
     rung, slash, split = str(layouts).rpartition("/")
     return f"{rung}/test" if slash and split in SPLITS and re.match(r"[a-z]+-[^/]*$", rung) else "test"
 
 
 def name_of(layouts: str | Path) -> str:
-    """A layout file's name as part of a file's: `test`, `density-12-test`, or a path's last part and of its
-    checksum the first.
-    """
+    """A layout file's name as part of a file's: `test`, `density-12-test`, or a path's with a checksum."""
     if layouts in SPLITS or not os.path.isfile(layouts):
         return str(layouts).replace("/", "-")
     return f"{Path(layouts).stem}-{checksum(_open(Path(layouts))[0])[:8]}"
 
 
 def _in_order(content: bytes) -> bytes:
-    """The same safetensors with a sorted header, which the library writes in any order: same layouts,
-    same bytes.
-    """
+    """The same safetensors with a sorted header: of the same layouts the same bytes."""
     size = int.from_bytes(content[:8], "little")
     header = json.dumps(json.loads(content[8 : 8 + size]), sort_keys=True).encode()
     header += b" " * (-len(header) % 8)

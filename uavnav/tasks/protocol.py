@@ -19,9 +19,7 @@ class Split(NamedTuple):
 
 
 SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Split(1_000, 1)}
-"""Train on one, choose on the second, judge on the third: seeds of one distribution, with no layout in
-common.
-"""
+"""Train on one, choose on the second, judge on the third: seeds of one distribution, no layout in common."""
 
 EPISODES = 200
 MAX_STEPS = 10_000

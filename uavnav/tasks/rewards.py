@@ -60,9 +60,7 @@ def total(reward: str, terms: Terms, rows: Tensor) -> Tensor:
 
 
 def eq14(step: Step) -> Terms:
-    """Exclusive cases: -10 on collision; else -0.01 if distance = 0 or angle != 0; else 0.01 distance.
-    Eq. (14).
-    """
+    """Eq. (14): -10 on collision; else -0.01 if distance = 0 or angle != 0; else 0.01 distance."""
     penalised = ~step.collided & ((step.distance == 0) | (step.angle != 0))
     return {
         "collision": step.world.collision_reward * step.collided.double(),
@@ -72,9 +70,7 @@ def eq14(step: Step) -> Terms:
 
 
 def additive(step: Step) -> Terms:
-    """The text of sec. 4.2: -10 on collision; else 0.01 distance - 0.01 [distance = 0] - 0.01 [angle !=
-    0].
-    """
+    """Sec. 4.2's text: -10 on collision; else 0.01 distance - 0.01 [distance = 0] - 0.01 [angle != 0]."""
     return initial(step) | {
         "stop": step.world.penalty * (~step.collided & (step.distance == 0)).double(),
         "turn": step.world.penalty * (~step.collided & (step.angle != 0)).double(),

@@ -85,9 +85,7 @@ class Chance:
         return self._streams["headings"].draw(torch.randint, 360, (self._rows,), device=self._device)
 
     def start(self) -> tuple[Tensor, Tensor | None]:
-        """What a start needs: headings [seeds, rows], draws [seeds, rows, n_draws]; None where it needs
-        none.
-        """
+        """What a start needs: headings [seeds, rows], draws [seeds, rows, n_draws] or None."""
         found, self._starts = self._starts, None
         return found or (self.headings(), self._drawn(FIRST))
 

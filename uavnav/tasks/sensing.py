@@ -15,9 +15,7 @@ from uavnav.tasks.dynamics import direction
 from uavnav.tasks.world import World
 
 VIEW_TOLERANCE = 1e-6
-"""A direction counts as in front of the drone down to this much behind it, so that rounding never hides a
-neighbour.
-"""
+"""A direction counts as in front of the drone down to this: rounding never hides a neighbour."""
 
 FEW, MANY_ROWS = 36, 1024
 """Up to `FEW` candidates, as many as the paper's 8 circles and 28 squares, are ranked by counting in a graph,
@@ -29,9 +27,7 @@ FAR = 1e6
 
 
 class Scan(NamedTuple):
-    """What comes back to the sensor, slot by slot, before eq. (13) scales it; the slots lead, the batch
-    comes last.
-    """
+    """What comes back to the sensor before eq. (13) scales it; slots lead, the batch comes last."""
 
     numbers: Tensor  # [F, S, ...] the direction, forward last, then the velocity where it is sensed
     distance: Tensor  # [S, ...] px, infinite of an empty slot
@@ -91,9 +87,7 @@ def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
 
 
 def _candidates(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
-    """Offsets to all that may be sensed, and the distance to its edge [px]: dx, dy, distance, each [N,
-    ...].
-    """
+    """Offsets to all that may be sensed, and the distance to its edge [px]: dx, dy, distance [N, ...]."""
     # without a circle, a graph would work the squares out again in every comparison
     if not obstacles.shape[-2]:
         obstacles = obstacles.new_tensor([[FAR, FAR, 0.0]]).expand(*x.shape, 1, 3)
@@ -116,9 +110,7 @@ def to_drone_frame(dx: Tensor, dy: Tensor, heading: Tensor) -> tuple[Tensor, Ten
 
 
 def _offsets_to_circles(x: Tensor, y: Tensor, obstacles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Offsets to the centres, eq. (9), and to the edges (negative inside) [px]: [K, 3, ...] -> each [K,
-    ...].
-    """
+    """Offsets to the centres, eq. (9), and to the edges (negative inside) [px]: [K, 3, ...] -> [K, ...]."""
     dx = obstacles[:, 0] - x
     dy = obstacles[:, 1] - y
     return dx, dy, torch.sqrt(dx * dx + dy * dy) - obstacles[:, 2]

@@ -60,8 +60,6 @@ def generate(n: int, gap: int, seed: int = 0) -> Tensor:
 
 
 def passages(before: State, after: State) -> dict[str, Tensor]:
-    """Whether each row's step took the drone's centre from one side of a column's x to the other:
-    `passages` [*B].
-    """
+    """Whether each row's step took the drone's centre across a column's x: `passages` [*B]."""
     columns = torch.tensor(COLUMNS, device=after.x.device)
     return {"passages": ((before.x[..., None] > columns) != (after.x[..., None] > columns)).sum(-1)}

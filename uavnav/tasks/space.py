@@ -33,9 +33,7 @@ STEEPEST = 45
 """Pitch at most, up or down [degrees]."""
 
 SpaceState = cast(type[State], namedtuple("SpaceState", (*State._fields, "z", "pitch")))
-"""A state in 3D: `heading` is the yaw, z [*B] px float32, pitch [*B] whole degrees in -45..45 int64, up
-positive.
-"""
+"""A state in 3D: `heading` is the yaw, z [*B] px float32, pitch [*B] whole degrees, -45..45, up positive."""
 
 
 class SpaceWorld(World):
@@ -132,9 +130,7 @@ def decode(action: Tensor, world: SpaceWorld) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def move(state: State, yaw: Tensor, pitch: Tensor, distance: Tensor) -> State:
-    """Turn, keep the pitch within its bounds, then fly straight along f: yaw, pitch [*B] degrees,
-    distance [*B] px.
-    """
+    """Turn, keep the pitch in its bounds, fly straight along f: yaw, pitch [*B] degrees, distance [*B] px."""
     heading = (state.heading + yaw) % 360
     pitch = (pitch_of(state) + pitch).clamp(-STEEPEST, STEEPEST)
     (cosine, sine), (level, up) = direction(heading), direction(pitch % 360)

@@ -161,20 +161,14 @@ class Task:
         return after._replace(reward=before.reward + earned), outcome
 
     def judge(self, step: Step) -> tuple[Tensor, Terms]:
-        """Whether each row's episode is over [*B] bool, the time limit aside; and what the step earns, by
-        name [*B].
-        """
+        """Whether each row's episode is over [*B], the time limit aside; what the step earns, by name."""
         return step.collided, REWARDS[self.reward](step)
 
     def measure(self, before: State, after: State) -> dict[str, Tensor]:
-        """What an evaluation counts of each step, besides `COUNTS`: names and numbers [*B], added up over
-        an episode.
-        """
+        """What an evaluation adds up over an episode, besides `COUNTS`: names and numbers [*B] of a step."""
         return {}
 
     @classmethod
     def limit(cls, most: int) -> int:
-        """The time limit of an evaluation if none is given: so many steps, or the task's own time limit
-        where that is lower.
-        """
+        """The time limit of an evaluation if none is given: so many steps, or the task's own if lower."""
         return min(most, cls.MAX_STEPS or most)

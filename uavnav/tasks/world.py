@@ -15,9 +15,7 @@ from uavnav.errors import ConfigError
 from uavnav.settings import Settings, Whole, at_most, key
 
 VERSION = "1"
-"""Version of the world's semantics and of the distribution of obstacles; written into every split, run
-and policy.
-"""
+"""Version of the world's semantics and of the layouts' distribution, in every split, run and policy."""
 
 
 MOST = 1_000_000
@@ -118,9 +116,7 @@ class World(Settings):
 
     @property
     def sensed_squares_of_a_wall(self) -> int:
-        """How many neighbouring squares of a wall contain all that its sensor can reach, wherever the drone
-        is.
-        """
+        """How many neighbouring squares of a wall contain all that the drone's sensor can reach."""
         return 2 * self.sensed_squares_each_way + 2
 
     @property

@@ -151,9 +151,7 @@ class WrappedTask:
         return self.recall(state) if self.remembers else self._encode(state, found), clearance
 
     def recall(self, state: State) -> Tensor:
-        """The stack of observations that a policy sees, late as `faults` says: [*B, observation_size], a
-        copy.
-        """
+        """The stack of observations that a policy sees, as late as `faults` says: [*B, observation_size]."""
         seen: Tensor = state.seen  # type: ignore[attr-defined]
         return seen[..., self.faults.late : self.faults.late + self.stack, :].flatten(-2).clone()
 

@@ -102,9 +102,7 @@ class Checkpoints:
         self._rows_saved = 0
 
     def save(self, frames: int, state: Nested, facts: Nested, replay: ReplayBuffer | None = None) -> None:
-        """Write a state and what the buffer has gained since the last one; then drop the states before
-        the last two.
-        """
+        """Write a state and what the buffer has gained since; then drop the states before the last two."""
         self.folder.mkdir(exist_ok=True)
         if replay is not None:
             self._save_new_rows(replay, frames)
@@ -260,9 +258,7 @@ def _first_row(chunk: str) -> int:
 
 
 def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:
-    """Append rows to a buffer so that they are where they were: row `first` at its place in the
-    ring.
-    """
+    """Append rows to a buffer so that they are where they were: row `first` at its place in the ring."""
     rows = chunk["rows"]
     while skipped := (first - replay.write_count) % replay.storage.max_size:
         # more than the whole ring was written between two snapshots: no row counts yet

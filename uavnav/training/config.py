@@ -1,6 +1,4 @@
-"""What a training run is configured by: the fields that all algorithms share, and the checks that answer
-back.
-"""
+"""What a training run is configured by: the fields that all algorithms share, and their checks."""
 
 from __future__ import annotations
 
@@ -13,9 +11,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import torch
 from pydantic import AfterValidator, BeforeValidator, SerializeAsAny, model_validator
+from torch import nn
 
 from uavnav.errors import ConfigError, among, telling_line, told, unknown
-from uavnav.networks import ACTIVATIONS, Init
+from uavnav.networks import ACTIVATIONS, Init, mlp
 from uavnav.runs import default_folder
 from uavnav.settings import (
     AtLeast0,
@@ -33,6 +32,7 @@ from uavnav.settings import (
 )
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
+from uavnav.tasks.seeding import stream
 from uavnav.tasks.table import TASKS, make_task
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
@@ -69,9 +69,7 @@ class TrainConfig(Settings):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
     COPIES: ClassVar[int] = 3
-    """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of
-    others.
-    """
+    """Numbers that an agent keeps for each weight of a network: itself, Adam's moments and others."""
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
@@ -178,9 +176,7 @@ class TrainConfig(Settings):
 
     @classmethod
     def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings in a run's config.yaml; what came later than the run is as a run had it then: the
-        default.
-        """
+        """The settings in a run's config.yaml; a setting that came later than the run has its default."""
         default = plain(cls())
         there = {key: value for key, value in mapping.items() if key != "algorithm"}
         for name, kind in parts_of(there.get("task", TASK)).items():
@@ -189,9 +185,7 @@ class TrainConfig(Settings):
 
     @classmethod
     def usual(cls, preset: str, task: str) -> dict[str, Any]:
-        """The settings of a preset in a task. They are built with a reward that asks nothing more of an
-        algorithm.
-        """
+        """The settings of a preset in a task, built with a reward that asks nothing more of an algorithm."""
         reward = cls.model_fields["reward"].default
         return plain(cls(preset=preset, task=task, reward=reward)) | {"reward": TASKS[task].REWARD}
 
@@ -209,6 +203,15 @@ class TrainConfig(Settings):
     def make(self, compile: bool) -> Any:
         """The algorithm with these settings, as `uavnav.training.loop` needs it."""
         raise NotImplementedError(f"{type(self).__name__} has no algorithm to make")
+
+    def network(self, purpose: str, outputs: int, gain: float = 1.0) -> nn.Sequential:
+        """A network of each seed, initialised from a stream of its own: [A, ..., 30] -> [A, ..., outputs].
+
+        gain: of the last layer, where the initialisation has gains.
+        """
+        sizes = [self.observation_size, *self.hidden, outputs]
+        generators = [stream(seed, purpose) for seed in self.seeds]
+        return mlp(sizes, self.activation, generators, self.init, gain, self.layer_norm)
 
     def check_machine(self) -> None:
         """Raise a ConfigError where what all seeds learn would not fit into the machine's memory."""
@@ -241,9 +244,7 @@ class TrainConfig(Settings):
         self.check_memory(named, needed, "fewer frames, or more of them an iteration")
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
-        """Raise a ConfigError where something would take more bytes than the machine has; instead: what
-        to give.
-        """
+        """Raise a ConfigError where something takes more bytes than there are; instead: what to give."""
         if self.device != "cpu":
             return
         available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -263,9 +264,7 @@ class TrainConfig(Settings):
 
     @property
     def frames_between_rows(self) -> int:
-        """Collected per seed between two rows of progress, if an iteration has fewer; here unknown, one
-        row in all.
-        """
+        """Collected per seed between two rows of progress, if an iteration has fewer; unknown here."""
         return self.frames
 
     @property

@@ -136,7 +136,5 @@ class _Terminal(Console):
 
 
 def _console() -> Console:
-    """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a
-    bar.
-    """
+    """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step."""
     return _Terminal(force_jupyter=None if find_spec("ipywidgets") else False)

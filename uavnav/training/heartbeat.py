@@ -1,6 +1,4 @@
-"""A run's sign of life: `progress.json`, written every few seconds by a thread of the process that works
-on the run.
-"""
+"""A run's sign of life: `progress.json`, written every few seconds by a thread of whoever works on it."""
 
 from __future__ import annotations
 
@@ -79,8 +77,6 @@ class Heartbeat:
 
 
 def tell(folder: Path, frames: int, total: int, rate: float | None, lately: Lately = NOTHING) -> None:
-    """Write how far a run is: frames per seed, of how many, at so many a second, if that is known; raises
-    OSError.
-    """
+    """Write how far a run is: frames per seed, of how many, at so many a second if known; raises OSError."""
     facts = {"frames": frames, "total": total, "rate": rate, "lately": lately.model_dump(), "at": time.time()}
     files.write(folder / PROGRESS, json.dumps(facts).encode())

@@ -33,9 +33,7 @@ Row = Mapping[str, Tensor | float]
 
 
 Fit = Callable[[Recorder, bool, Tell | None], Run]
-"""Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling of its
-progress.
-"""
+"""Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling."""
 
 
 class Trainee(Protocol):

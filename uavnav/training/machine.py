@@ -1,6 +1,4 @@
-"""How a run uses the machine, by its configuration and never by a clock: compiled or not, processes,
-threads.
-"""
+"""How a run uses the machine, by its configuration and no clock: compiled or not, processes, threads."""
 
 from __future__ import annotations
 
@@ -79,9 +77,7 @@ def processes(config: TrainConfig) -> int:
 
 
 def own_parts(config: TrainConfig) -> str:
-    """What the caller has added or changed without a plugin, so that no other process knows it; often
-    nothing.
-    """
+    """What the caller has added or changed without a plugin, and no other process knows; often nothing."""
     own = []
     for setting, (table, known) in plugins.TABLES.items():
         name = getattr(config, setting)
@@ -98,16 +94,12 @@ def cores() -> int:
 
 
 def threads(config: TrainConfig, processes: int) -> int:
-    """One where processes share the seeds; two are slower than one for fewer than 4 agents, and faster
-    from there.
-    """
+    """One where processes share the seeds. Two are slower than one for fewer than 4 agents, else faster."""
     return 1 if config.n_seeds < 4 or processes > 1 else min(2, cores())
 
 
 def forks() -> bool:
-    """Whether a fork of this process can compute next to it: on Linux, as PyTorch's DataLoader does it
-    there.
-    """
+    """Whether a fork of this process can compute next to it: on Linux, as PyTorch's DataLoader does."""
     return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
 
 
@@ -163,9 +155,7 @@ def keep_memory_flat(weights: int = 0) -> None:
 
 @contextlib.contextmanager
 def little_garbage() -> Iterator[None]:
-    """Leave what lives already out of Python's collections of garbage, which take a twelfth of a run of
-    small steps.
-    """
+    """Leave what lives already out of Python's garbage collections, a twelfth of a run of small steps."""
     gc.freeze()
     try:
         yield

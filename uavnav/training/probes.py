@@ -21,13 +21,9 @@ from uavnav.tasks.wrapper import WrappedTask
 
 POSES = 512
 DORMANT = 0.025
-"""A unit is dormant if its mean |activation| is at most this share of its layer's mean (Sokar et al.
-2023).
-"""
+"""A unit is dormant if its mean |activation| is at most this share of its layer's (Sokar et al. 2023)."""
 SATURATED = 0.05
-"""A unit is saturated at a pose if its activation's slope there is at most this share of the steepest
-slope.
-"""
+"""A unit is saturated at a pose if its slope there is at most this share of the steepest slope."""
 
 
 def poses(task: WrappedTask) -> Tensor:
@@ -106,9 +102,7 @@ def _with_slope(
 
 
 def _effective_rank(x: Tensor) -> Tensor:
-    """The effective ranks of matrices: [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for a matrix not
-    finite.
-    """
+    """The effective ranks of matrices: [A, P, H] -> [A]; 0 of a matrix of zeros, NaN of one not finite."""
     gram = (x.mT @ x).double()
     finite = gram.isfinite().flatten(1).all(1)
     values = torch.linalg.eigvalsh(torch.where(finite[:, None, None], gram, 0.0)).clamp(min=0).sqrt()

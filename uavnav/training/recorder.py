@@ -84,9 +84,7 @@ class Rows(files.Facts):
 
 
 class Interrupted(RunError):
-    """SIGINT, SIGTERM or `until` stopped a run; it was saved and can go on, or the message says that it
-    was not.
-    """
+    """SIGINT, SIGTERM or `until` stopped a run, which was saved and can go on, or its message says not."""
 
     def __init__(self, message: str, signum: int, frames: int, wanted: bool) -> None:
         super().__init__(message)
@@ -100,9 +98,7 @@ class OtherRun(RunError):
 
 
 def free_folder(config: TrainConfig) -> Path:
-    """Where a run goes for which no folder is given; another one than the default folder's own run has its
-    hash behind.
-    """
+    """Where a run goes for which no folder is given; a hash is behind it where another run is there."""
     folder = config.folder
     if os.path.lexists(folder / "config.yaml"):
         try:
@@ -333,9 +329,7 @@ class Recorder:
         return frames
 
     def _take(self, snapshot: Snapshot, parts: Mapping[str, Stateful]) -> None:
-        """Set the parts to a snapshot; where one does not take it, all are as before and a RunError says
-        so.
-        """
+        """Set the parts to a snapshot; a RunError says where one does not take it, and all are as before."""
         self._columns(snapshot)
         before = {name: part.state_dict() for name, part in parts.items()}
         saved = snapshot.state.get("parts", {})
@@ -466,9 +460,7 @@ class Recorder:
         return int(self._before.get("processes", 1)) if self._before else number
 
     def note(self, **facts: Any) -> None:
-        """Add how the run is carried out to meta.json, and to what a snapshot must share with the run
-        that resumes.
-        """
+        """Add how the run is carried out to meta.json, and to what a snapshot shares with whoever resumes."""
         facts = facts | {"threads": torch.get_num_threads()}
         self.meta |= facts | {"beyond_preset": self.config.beyond_preset()}
         self._checkpoints.identity |= facts
@@ -531,9 +523,7 @@ class Recorder:
         return self.heartbeat.lately
 
     def finish(self, policy: bytes, frames: int, wall_seconds: float | None = None) -> Run:
-        """Write everything, the status last, and read it back; wall_seconds: that it took, if others took
-        it.
-        """
+        """Write everything, the status last, and read it back; wall_seconds: if others took the time."""
         episodes = pd.DataFrame(_joined(self._tables["episodes"], list(EPISODE_COLUMNS))).astype(
             EPISODE_COLUMNS
         )

@@ -138,9 +138,7 @@ class Learner:
         self._run: Callable[[TensorDictBase], Tensor] | None = None  # compiled at the first call
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
-        """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient
-        norm, [A].
-        """
+        """Updates from minibatches [A, M, N] in turn; each agent's mean losses and gradient norm, [A]."""
         if not self.compile:
             steps = [self.step(batch) for batch in batches.unbind(1)]
             return {name: torch.stack([found[name] for found in steps]).mean(0) for name in steps[0]}
@@ -151,9 +149,7 @@ class Learner:
         return dict(zip(self.names, found, strict=True))
 
     def step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        """One update of every agent from a minibatch [A, N]; returns each agent's losses and gradient
-        norm, [A].
-        """
+        """One update of every agent from a minibatch [A, N]; each agent's losses and gradient norm, [A]."""
         with torch.no_grad():
             found, following = self._update(self._rates(1)[0], self.state, self.memory, batch)
             self.state.update_(following)
@@ -184,9 +180,7 @@ class Learner:
         return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
 
     def _rates(self, n: int) -> Tensor:
-        """What the optimiser needs of the next n steps: [n, rates]. Those of many steps are worked out at
-        once.
-        """
+        """What the optimiser needs of the next n steps [n, rates], worked out for many steps at once."""
         first, rates = self._ahead
         if not first <= self.steps <= first + len(rates) - n:
             first, weight = self.steps, next(iter(self.params.values()))
@@ -196,9 +190,7 @@ class Learner:
         return rates[self.steps - first :][:n]
 
     def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
-        """All updates of a call as one graph, however many there are, of all agents at once or of each in
-        turn.
-        """
+        """All updates of a call as one graph, however many, of all agents at once or of each in turn."""
         held = TensorDict({**self.state, "constants": self.constants})
         names = list(held.keys(True, True))
         keys = list(batches.keys(True, True, sort=True))  # also those of a refilled buffer: one graph

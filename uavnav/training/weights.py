@@ -1,6 +1,4 @@
-"""The file of a run's policies: the networks of all seeds, and what rebuilds them. `uavnav.runs.policies`
-reads it.
-"""
+"""The file of a run's policies: the networks of all seeds, and what rebuilds them in `runs.policies`."""
 
 from __future__ import annotations
 
@@ -35,9 +33,7 @@ def check(networks: Mapping[str, nn.Module], config: TrainConfig) -> None:
 
 
 def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Actor) -> bytes:
-    """The bytes of a policy file: the networks of all seeds; in its header what rebuilds them, and their
-    whole task.
-    """
+    """The bytes of a policy file: all seeds' networks; its header has what rebuilds them, and their task."""
     facts = {
         "algorithm": config.algorithm,
         "activation": config.activation,
@@ -60,9 +56,7 @@ def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Act
 
 
 def join(paths: Sequence[Path]) -> bytes:
-    """The bytes of one policy file from those of runs that differ in nothing but their seeds, in that
-    order.
-    """
+    """The bytes of one policy file from those of runs that differ only in their seeds, in that order."""
     parts, seeds = [], []
     for path in paths:
         found, header = tensors.read(path)

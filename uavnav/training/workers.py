@@ -131,9 +131,7 @@ class Worker:
         )
 
     def saved(self) -> int:
-        """The frames per seed that are behind its newest snapshot, or all where it has finished; 0: none
-        is saved.
-        """
+        """The frames per seed behind its newest snapshot, or all where it has finished; 0: none is saved."""
         try:
             recorder = Recorder(self.folder, self.config)
             return self.config.frames if recorder.finished else recorder.snapshot_tables()[0]
@@ -275,9 +273,7 @@ def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Ite
 
 
 def end(processes: Sequence[Process], seconds: float = 0.0) -> None:
-    """Wait for processes to end; after so many seconds they get a SIGTERM, and after `END_SECONDS` more a
-    SIGKILL.
-    """
+    """Wait for processes to end; then they get a SIGTERM, and after `END_SECONDS` more a SIGKILL."""
     for limit, insist in ((seconds, Process.terminate), (END_SECONDS, Process.kill)):
         since = time.monotonic()
         while any(process.poll() is None for process in processes) and time.monotonic() < since + limit:
@@ -289,9 +285,7 @@ def end(processes: Sequence[Process], seconds: float = 0.0) -> None:
 
 
 def _log(log: Log | None, workers: Sequence[Worker]) -> None:
-    """Tell a run's log, where there is one, the rows of its workers' snapshots and tables that it was not
-    told yet.
-    """
+    """Tell a run's log, where there is one, those rows of its workers that it was not told yet."""
     if log is None:
         return
     for worker in workers:
@@ -326,9 +320,7 @@ def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, p
 
 
 def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
-    """Put the finished workers of a run that is being recorded together; it took as long as the slowest
-    of them.
-    """
+    """Put the finished workers of a run under way together; it took as long as the slowest of them."""
     runs = [Run(worker.folder) for worker in workers]
     recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
     recorder.heartbeat.lately = all_seeds([Lately(**run.meta.get("lately", {})) for run in runs])
@@ -339,9 +331,7 @@ def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
 
 
 def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
-    """Episodes as one process would have noted them: in the order of their ends, then those cut off, seed
-    by seed.
-    """
+    """Episodes as one process would have noted them: in the order of their ends, then those cut off."""
     there = [table for table in episodes if len(table)]
     if not there:
         return episodes[0]

@@ -1,6 +1,4 @@
-"""Configurations answer back: a wrong key, type, name, count or device is one line with what would be
-right.
-"""
+"""Configurations: what they mean, what presets set, and what is the same for every algorithm."""
 
 import pickle
 from pathlib import Path
@@ -10,6 +8,7 @@ import pytest
 import yaml
 
 from uavnav import runs
+from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.a2c import PRESETS as A2C_PRESETS
 from uavnav.algorithms.a2c import A2CConfig
 from uavnav.algorithms.c51 import PRESETS as C51_PRESETS
@@ -24,83 +23,19 @@ from uavnav.cli.train import _sweep
 from uavnav.errors import ConfigError
 from uavnav.settings import AtLeast0, key, lines
 from uavnav.tasks.world import World
-from uavnav.training.config import plain
+from uavnav.training.config import TrainConfig, plain
 
-WRONG = [
-    ({"activation": "rleu"}, "activation=rleu; did you mean relu? choose from crelu, elu, .*"),
-    ({"activation": 3}, "activation=3; give a name"),
-    ({"activation": None}, "activation=None; give a name"),
-    ({"activatoin": "relu"}, "key 'activatoin'; did you mean activation? choose from .*activation"),
-    ({"n_seeds": 0}, "n_seeds=0; give a number of at least 1"),
-    ({"n_seeds": "two"}, "n_seeds=two; give a whole number"),
-    ({"n_seeds": True}, "n_seeds=True; give a whole number"),
-    ({"seed": -1}, "seed=-1; give a number of at least 0"),
-    ({"total_frames": 0.5}, "total_frames=0.5; give a whole number"),
-    ({"total_frames": float("inf")}, "total_frames=inf; give a whole number"),
-    ({"lr": float("nan")}, "lr=nan; give a number"),
-    ({"world": {"sensor_arc": float("nan")}}, "world.sensor_arc=nan; give a number"),
-    ({"reward": "goal"}, "reward=goal: this task has no goal; choose task=goal, or another reward"),
-    ({"total_frames": float("nan")}, "total_frames=nan; give a whole number"),
-    ({"max_steps": 0}, "max_steps=0; give a number of at least 1"),
-    ({"lr": -1.0}, "lr=-1.0; give a number of at least 0"),
-    ({"lr": "fast"}, "lr=fast; give a number"),
-    ({"gamma": 1.1}, "gamma=1.1; give a number of at least 0 and at most 1"),
-    ({"hidden": 64}, "hidden=64; give a list of numbers in brackets"),
-    ({"hidden": []}, "hidden=[]; give at least one layer, each of at least 1 unit"),
-    ({"hidden": [64, 0]}, "hidden=[64, 0]; give at least one layer, each of at least 1 unit"),
-    ({"hidden": [64, "x"]}, "hidden=x; give a whole number"),
-    ({"reward": "eq15"}, "reward=eq15; did you mean eq14? choose from additive, eq14, goal, initial"),
-    (
-        {"task": "dron"},
-        "task=dron; did you mean drone? choose from drone, goal, moving, space, space-moving",
-    ),
-    ({"world": {"slots": "first"}}, "world.slots=first; choose from listed, nearest"),
-    ({"world": {"padding": "ones"}}, "world.padding=ones; choose from far, zeros"),
-    ({"world": {"start_heading": "down"}}, "world.start_heading=down; choose from random, up"),
-    (
-        {"world": {"slot": "listed"}},
-        "there is no key 'world.slot'; did you mean world.slots? choose from ",
-    ),
-    ({"world": {"sensor_arc": "wide"}}, "world.sensor_arc=wide; give a number"),
-    ({"world": {"n_slots": 0}}, "world.n_slots=0"),
-    ({"world": {"drone_radius": True}}, "world.drone_radius=True; give a number"),
-    ({"world": "flat"}, "world=flat; give fields of the world, such as world.width=800"),
-    ({"slots": "listed"}, "there is no key 'slots'; did you mean world.slots? choose from "),
-    ({"init": "xavier"}, "init=xavier; choose from default, orthogonal"),
-    ({"compile": "maybe"}, "compile=maybe; choose from auto, off, on"),
-    ({"device": "gpu"}, "device=gpu; choose cpu, or a device that this machine has"),
-    ({"n_envs": 0}, "n_envs=0; give a number of at least 1"),
-]
+SHARED = TrainConfig.model_fields
 
 
-@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig, A2CConfig, C51Config, SACConfig])
-@pytest.mark.parametrize(("settings", "message"), WRONG, ids=[str(settings) for settings, _ in WRONG])
-def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
-    with pytest.raises(ConfigError) as caught:
-        kind.from_mapping(settings)
-    text = str(caught.value)
-    assert "\n" not in text
-    for part in message.split(".*"):
-        assert part.strip(" ") in text
-
-
-@pytest.mark.parametrize(
-    ("kind", "settings", "message"),
-    [
-        (PPOConfig, {"minibatch_size": 100}, "minibatch_size=100; give a divisor of frames_per_batch=2048"),
-        (PPOConfig, {"batch_size": 3}, "there is no key 'batch_size'"),
-        (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
-        (DQNConfig, {"buffer_size": 8, "n_envs": 64}, "buffer_size=8; give more than n_envs=64"),
-        (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
-        (A2CConfig, {"minibatch_size": 64}, "there is no key 'minibatch_size'"),
-        (SACConfig, {"tau": 1.1}, "tau=1.1; give a number of at least 0 and at most 1"),
-        (A2CConfig, {"gae_lambda": 1.1}, "gae_lambda=1.1; give a number of at least 0 and at most 1"),
-    ],
-)
-def test_each_algorithm_checks_its_own_keys(kind, settings, message):
-    with pytest.raises(ConfigError) as caught:
-        kind.from_mapping(settings)
-    assert message in str(caught.value)
+@pytest.mark.parametrize("kind", [one.config for one in ALGORITHMS.values()])
+def test_each_algorithm_checks_what_all_share_as_one_does(kind):
+    """How each of these is refused: `bad_input`."""
+    for name, field in SHARED.items():
+        own = kind.model_fields[name]
+        assert (own.annotation, own.metadata) == (field.annotation, field.metadata), name
+    with pytest.raises(ConfigError, match="give at least one layer, each of at least 1 unit"):
+        kind(hidden=[])
 
 
 def test_whole_floats_and_lists_become_what_they_mean():

@@ -519,8 +519,8 @@ REFUSED = {
         {"max_steps": "never"}],
     "choose cpu, or a device that this machine has": [
         {"device": one} for one in ("gpu", "meta", "cuda:99", "hpu")],
-    "at least 1": [{"n_seeds": 0}, {"n_envs": 0}, {"total_frames": 0}, {"max_steps": 0},
-        {"world": {"n_slots": 0}}],
+    "at least 1": [{"n_seeds": 0}, {"n_envs": 0}, {"total_frames": 0}, {"max_steps": 0}],
+    "give a number above 0": [{"world": {"n_slots": 0}}],
 }
 """Settings, by what each should have been."""
 
@@ -892,7 +892,7 @@ CASES = [
     word(f"ppo seed={'[' * 500}{']' * 500}", "seed=[[[", "cannot be read"),
     word("ppo 'device='\"'\"'cpu'", "device='cpu", "cannot be read"),
     word("ppo preset=3", "preset=3", "choose from"),
-    word(f"ppo preset={'x' * 300}", "preset=xxx", "choose from fast"),
+    word(f"ppo preset={'x' * 300}", "preset=xxx", "choose from "),
     word("ppo -m seed=range(0,1000000000)", "too long", "at most 1,000"),
     word("ppo -m seed=range(0,9,0)", "it is no range", "range(start,stop,step)"),
     word("ppo -m seed=range(0,100) n_seeds=range(1,101)", "has 10,000 runs", "at most 1,000"),

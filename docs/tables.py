@@ -25,24 +25,27 @@ def command_table() -> str:
 
 
 def settings_table(kinds: Configs) -> str:
-    """The settings in which algorithms or their preset `fast` differ, a column an algorithm; then those of
-    one algorithm, and those that are the same in all.
+    """The settings in which algorithms or their preset `fast` differ, a column an algorithm; then those that
+    only some have, and those that are the same in all.
     """
     defaults = {name: {line.name: line.default for line in lines(kind)} for name, kind in kinds.items()}
     every = dict.fromkeys(key for own in defaults.values() for key in own)
     rows, same = [f"| key | {' | '.join(map(str.upper, kinds))} |", f"|---|{'---|' * len(kinds)}"], []
-    own: dict[str, list[str]] = {}
+    only: dict[str, list[str]] = {}
     for key in every:
         cells = {name: _cell(defaults[name].get(key), kind, key) for name, kind in kinds.items()}
-        (owner, *others), known = [name for name in kinds if cells[name]], set(cells.values())
-        if not others:
-            own.setdefault(owner, []).append(f"`{key}={cells[owner]}`")
-        elif len(known) > 1:
+        owners = [name.upper() for name in kinds if cells[name]]
+        one, *others = {cell for cell in cells.values() if cell}
+        if others:
             rows.append(f"| `{key}` | {' | '.join(cells.values())} |")
+        elif len(owners) < len(kinds):
+            only.setdefault(" and ".join(filter(None, [", ".join(owners[:-1]), owners[-1]])), []).append(
+                f"`{key}={one}`"
+            )
         else:
-            same.append(f"`{key}={defaults[owner][key]}`")
-    only = [f"- Only {name.upper()}: {', '.join(own[name])}." for name in kinds if name in own]
-    return "\n".join([*rows, "", *only, "", f"The same in all: {', '.join(same)}."])
+            same.append(f"`{key}={one}`")
+    part = [f"- Only {owners}: {', '.join(keys)}." for owners, keys in only.items()]
+    return "\n".join([*rows, "", *part, "", f"The same in all: {', '.join(same)}."])
 
 
 def preset_table(kinds: Configs) -> str:

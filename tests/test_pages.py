@@ -58,7 +58,8 @@ def test_a_setting_shows_each_algorithms_default_and_what_fast_sets_instead():
         "0.0003→0.0023",
         "0.0005",
     ]
-    assert rows["`double`"] == ["", "false→true", "", "false→true", "", ""]
+    assert rows["`epochs`"] == ["10→8", "", "", "", "", "2"]
+    assert "\n- Only DQN and C51: `target_update_frames=10000→1000`, " in ALL["docs/algorithms.md"]
     assert "\n- Only SAC: `tau=0.005→0.0037`, " in ALL["docs/algorithms.md"]
 
 

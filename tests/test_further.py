@@ -323,21 +323,26 @@ def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps()
 
 
 def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_scripted_one(tmp_path):
-    """Seeds earn 5 and 6, which is 5.5 ± 6.35; under the shield the scripted ones earn less."""
-    for shield, rules in ((False, {"reactive": 3.0, "dwa": 5.0}), (True, {"reactive": -2.0, "dwa": -3.0})):
+    """Seeds earn 5 and 6, which is 5.5 ± 6.35; under the shield 6 and 8, and the scripted ones less."""
+    for shield, rules in ((False, {"reactive": 3.0, "dwa": 5.0}), (True, {"reactive": -8.0, "dwa": -9.0})):
         protocol = Protocol("test", 2, 9, shield=shield)
         if not shield:
             run = evaluated(tmp_path / "learned/drone/ppo/tanh", 5.0, protocol)
             episodes = Run(run).evaluation()
-        kept(run, protocol.file("evaluation"), episodes, protocol)
+        safe = episodes.assign(reward=lambda own: own["reward"] + 1 + own["seed"], terminated=False)
+        kept(run, protocol.file("evaluation"), safe if shield else episodes, protocol)
         for who, reward in rules.items():
             own = rows(0, *[(9, 9, 0, 0, 0, 9, reward)] * 2).assign(layout=[0, 1], danger=[0, 9])
             kept(tmp_path / "learned/baselines", protocol.file(who), own, protocol)
     tables, left_out = learned.gather([tmp_path])
     ahead = tables["learned_ahead"].set_index("shield")
     assert left_out == []
+    assert tables["learned_shielded"].round(3).to_dict("records") == [
+        {"place": "drone", "who": "PPO best", "value": 5.5, "n": 2, "collisions": 111.111, "left": 0}
+        | {"gain": 1.5, "gain_low": -4.853, "gain_high": 7.853}  # ± 12.706 x 0.5
+    ]
     assert ahead.loc[False, ["who", "scripted", "gap", "verdict"]].tolist() == ["dwa", 5.0, 0.5, "open"]
-    assert ahead.loc[True, ["who", "gap", "verdict"]].tolist() == ["reactive", 7.5, "learned"]
+    assert ahead.loc[True, ["who", "gap", "verdict"]].tolist() == ["reactive", 15.0, "learned"]
     assert ahead.loc[False, "gap_high"] == pytest.approx(0.5 + 12.706 / 2, abs=1e-3)
     danger = tables["learned"].query("measure == 'danger'")
     assert (danger["value"] == 50).all()
@@ -346,4 +351,4 @@ def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_sc
     assert {*shown["who"]} == {
         f"{who}{end}" for who in ("PPO best", "reactive", "dwa") for end in ("", " + shield")
     }
-    assert learned.figure(tables["learned"]).alt == "The most reward per episode: drone: PPO best 5.50."
+    assert learned.figure(tables["learned"]).alt == "The most reward per episode: drone: PPO best + shield 7.00."

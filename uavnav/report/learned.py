@@ -15,7 +15,7 @@ from uavnav.report.apart import Flight, flights
 from uavnav.runs.metrics import OWN, PER_EPISODE, of_episodes
 from uavnav.tasks.faults import from_words
 
-STUDY, AHEAD = "learned", "learned_ahead"
+STUDY, AHEAD, SHIELDED = "learned", "learned_ahead", "learned_shielded"
 LEARNED = "PPO best"
 USUAL = 2_000
 """Steps, the time limit of the study's evaluations; a goal has less."""
@@ -32,13 +32,16 @@ MEASURES = {
 def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """The study's tables by name, none where there is no such study; a line for what cannot be read.
 
-    learned: a row a task, policy, shield and measure; learned_ahead: of `ahead`.
+    learned: a row a task, policy, shield and measure; learned_ahead: of `ahead`; learned_shielded: of
+    `shielded`, also for the configurations of the study `paper`.
     """
     found, left_out = flights(folders, STUDY)
     if not any(one.run for one in found):
         return {}, left_out
+    found = [one._replace(who=LEARNED) if one.run else one for one in found]
+    of_paper, unread = flights(folders, "paper")
     own = table(found)
-    return {STUDY: own, AHEAD: ahead(own)}, left_out
+    return {STUDY: own, AHEAD: ahead(own), SHIELDED: shielded([*found, *of_paper])}, [*left_out, *unread]
 
 
 def place(one: Flight) -> str:
@@ -54,7 +57,7 @@ def table(found: Sequence[Flight]) -> pd.DataFrame:
     rows: list[list[object]] = []
     for one in sorted(found, key=lambda one: (place(one), one.how["shield"], not one.run)):
         seeds = of_episodes(one.rows)
-        facts = [place(one), LEARNED if one.run else one.who, bool(one.how["shield"])]
+        facts = [place(one), one.who, bool(one.how["shield"])]
         names = [name for name in MEASURES if name in seeds]
         rows += [[*facts, name, *stats.difference([seeds[name].to_numpy()], [])] for name in names]
     return pd.DataFrame(rows, columns=["place", "who", "shield", "measure", "value", "low", "high", "n"])
@@ -75,6 +78,26 @@ def ahead(found: pd.DataFrame) -> pd.DataFrame:
         both[name] = both.pop(of) - both["scripted"]
     verdict = np.select([both["gap_low"] > 0, both["gap_high"] < 0], ["learned", "scripted"], "open")
     return both.assign(verdict=verdict)
+
+
+def shielded(found: Sequence[Flight]) -> pd.DataFrame:
+    """What the shield changes: a row a task and learned policy that was flown with and without it.
+
+    Columns place, who, n; `value`, the reward without it; `gain` in reward, seed by seed, with its 95 %
+    interval; `collisions` per 1,000 px without it, and `left` of them under it.
+    """
+    flown: dict[tuple[str, str], dict[bool, pd.DataFrame]] = {}
+    for one in found:
+        if one.run:
+            flown.setdefault((place(one), one.who), {})[bool(one.how["shield"])] = of_episodes(one.rows)
+    rows: list[list[object]] = []
+    for key, own in flown.items():
+        if len(own) == 2:
+            gain = stats.difference([(own[True]["reward"] - own[False]["reward"]).to_numpy()], [])
+            collisions = [own[shield]["collisions"].mean() for shield in (False, True)]
+            rows.append([*key, own[False]["reward"].mean(), *gain, *collisions])
+    columns = ["place", "who", "value", "gain", "gain_low", "gain_high", "n", "collisions", "left"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def listed(found: pd.DataFrame, where: str) -> pd.DataFrame:

@@ -236,6 +236,16 @@ LEARNED: Columns = {
     "ahead": "{verdict}",
 }
 """Of `learned.ahead`."""
+SHIELDED: Columns = {
+    "task": "{place}",
+    "who": "{who}",
+    "reward": "{value:.1f}",
+    "more under the shield": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+    "collisions per 1,000 px": "{collisions:.2f}",
+    "under the shield": "{left:.2f}",
+    "seeds": "{n}",
+}
+"""Of `learned.shielded`."""
 
 
 def _layer_norm(one: Record) -> str:

@@ -16,6 +16,7 @@ from uavnav.evaluation.verify import _parting as parting
 from uavnav.evaluation.verify import _weights, verify
 from uavnav.evaluation.verify import _weights_parting as weights_parting
 from uavnav.runs import POLICY, Run
+from uavnav.studies.engines.local import Local
 
 STUDY = """
 what: two configurations of eight seeds
@@ -139,6 +140,17 @@ def test_what_workers_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path)
     evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True, measures=True)
     for name in ("evaluation-test-3-50.parquet", "behaviour-test-3-50.parquet"):
         assert (alone / "ppo/tanh" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def test_when_a_local_engine_closes_what_its_jobs_have_started_ends_too(tmp_path):
+    engine = Local()
+    (job,) = engine.start([["sh", "-c", f"sleep 300 & echo $! > {tmp_path}/started; wait"]])
+    while not (told := tmp_path.joinpath("started")).exists() or not told.read_text():
+        assert not engine.ended(job)
+    engine.close()
+    assert engine.ended(job)
+    state = subprocess.run(["ps", "-o", "stat=", "-p", told.read_text().strip()], capture_output=True)
+    assert state.stdout[:1] in (b"", b"Z")
 
 
 def test_a_local_study_goes_on_whatever_is_killed(study, alone):

@@ -140,6 +140,10 @@ class Job:
             self.heard = now
         return now - self.heard
 
+    def trains(self) -> bool:
+        """Whether frames are missing, by its newest heartbeat; else it flies episodes."""
+        return bool(self.told.get("frames", 0) < self.told.get("total", 0))
+
     def last_words(self) -> dict[str, Any]:
         """What it wrote when it ended; empty where it has not, or died."""
         return workers.last_words(self.file("ended"))
@@ -423,12 +427,8 @@ class Runner:
         if not job.begun:
             what, since, limit = "has not begun", now - job.since, QUEUE_SECONDS
         elif job.spoke and silence < SILENT_SECONDS:
-            trains = job.told.get("frames", 0) < job.told.get("total", 0)
-            what, since, limit = (
-                "has got no further",
-                now - job.moved,
-                STUCK_SECONDS if trains else EPISODE_SECONDS,
-            )
+            limit = STUCK_SECONDS if job.trains() else EPISODE_SECONDS
+            what, since = "has got no further", now - job.moved
         else:
             what, since, limit = "has been silent", silence, SILENT_SECONDS if job.spoke else BEGIN_SECONDS
         if since < limit or self._ask(lambda: self.engine.queued(job.handle), True):
@@ -557,8 +557,8 @@ class Runner:
 
     def _stopped(self) -> Interrupted:
         """Ask the workers to save themselves, and wait until they have."""
-        # an evaluation has nothing to save
-        self._running = [job for job in self._running if job.worker is not None]
+        # who flies episodes has nothing to save
+        self._running = [job for job in self._running if job.worker is not None and job.trains()]
         for job in self._running:
             with contextlib.suppress(OSError):
                 (job.folder / STOP).touch()

@@ -52,3 +52,5 @@ class Local:
 
     def close(self) -> None:
         workers.end(self._running)
+        for job in self._running:  # what a process has started may outlive it
+            self.cancel(job)

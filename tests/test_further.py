@@ -341,8 +341,8 @@ def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_sc
         {"place": "drone", "who": "PPO best", "value": 5.5, "n": 2, "collisions": 111.111, "left": 0}
         | {"gain": 1.5, "gain_low": -4.853, "gain_high": 7.853}  # ± 12.706 x 0.5
     ]
-    assert ahead.loc[False, ["who", "scripted", "gap", "verdict"]].tolist() == ["dwa", 5.0, 0.5, "open"]
-    assert ahead.loc[True, ["who", "gap", "verdict"]].tolist() == ["reactive", 15.0, "learned"]
+    assert ahead.loc[False, ["rule", "scripted", "gap", "verdict"]].tolist() == ["dwa", 5.0, 0.5, "open"]
+    assert ahead.loc[True, ["rule", "gap", "verdict"]].tolist() == ["reactive", 15.0, "learned"]
     assert ahead.loc[False, "gap_high"] == pytest.approx(0.5 + 12.706 / 2, abs=1e-3)
     danger = tables["learned"].query("measure == 'danger'")
     assert (danger["value"] == 50).all()
@@ -351,4 +351,6 @@ def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_sc
     assert {*shown["who"]} == {
         f"{who}{end}" for who in ("PPO best", "reactive", "dwa") for end in ("", " + shield")
     }
-    assert learned.figure(tables["learned"]).alt == "The most reward per episode: drone: PPO best + shield 7.00."
+    assert (
+        learned.figure(tables["learned"]).alt == "The most reward per episode: drone: PPO best + shield 7.00."
+    )

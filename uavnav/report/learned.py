@@ -1,4 +1,4 @@
-"""The study `learned`: PPO's preset `best` and scripted policies, task by task, also under the shield."""
+"""The study `learned`: the preset `best` and scripted policies, task by task, also under the shield."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from uavnav.runs.metrics import OWN, PER_EPISODE, of_episodes
 from uavnav.tasks.faults import from_words
 
 STUDY, AHEAD, SHIELDED = "learned", "learned_ahead", "learned_shielded"
-LEARNED = "PPO best"
 USUAL = 2_000
 """Steps, the time limit of the study's evaluations; a goal has less."""
 MEASURES = {
@@ -38,7 +37,7 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
     found, left_out = flights(folders, STUDY)
     if not any(one.run for one in found):
         return {}, left_out
-    found = [one._replace(who=LEARNED) if one.run else one for one in found]
+    found = [one._replace(who=f"{one.run.algorithm.upper()} best") if one.run else one for one in found]
     of_paper, unread = flights(folders, "paper")
     own = table(found)
     return {STUDY: own, AHEAD: ahead(own), SHIELDED: shielded([*found, *of_paper])}, [*left_out, *unread]
@@ -53,27 +52,28 @@ def place(one: Flight) -> str:
 
 
 def table(found: Sequence[Flight]) -> pd.DataFrame:
-    """Means over seeds and 95 % intervals: columns place, who, shield, measure, value, low, high, n."""
+    """A row a task, policy, shield and measure: the mean over seeds and its 95 % interval."""
     rows: list[list[object]] = []
     for one in sorted(found, key=lambda one: (place(one), one.how["shield"], not one.run)):
         seeds = of_episodes(one.rows)
-        facts = [place(one), one.who, bool(one.how["shield"])]
+        facts = [place(one), one.who, bool(one.run), bool(one.how["shield"])]
         names = [name for name in MEASURES if name in seeds]
         rows += [[*facts, name, *stats.difference([seeds[name].to_numpy()], [])] for name in names]
-    return pd.DataFrame(rows, columns=["place", "who", "shield", "measure", "value", "low", "high", "n"])
+    columns = ["place", "who", "learned", "shield", "measure", "value", "low", "high", "n"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def ahead(found: pd.DataFrame) -> pd.DataFrame:
-    """What the learned policy earns over the scripted one with the most reward in a task.
+    """What a learned policy earns over the scripted one with the most reward in a task.
 
-    A row a task and shield: `who` has most among the scripted ones, and its `scripted` reward; `gap` of the
-    learned one to it with its 95 % interval over seeds; `verdict`: learned, scripted or open.
+    A row a task, shield and learned policy, `who`. Of the scripted ones `rule` has most reward, `scripted`;
+    `gap` is the learned one's to it, with its 95 % interval over seeds; `verdict`: learned, scripted or open.
     """
     rewards = found[found["measure"] == "reward"]
-    own, rules = rewards[rewards["who"] == LEARNED], rewards[rewards["who"] != LEARNED]
+    own, rules = rewards[rewards["learned"]], rewards[~rewards["learned"]]
     best = rules.sort_values("value").drop_duplicates(["place", "shield"], keep="last")
-    best = best[["place", "shield", "who", "value"]].rename(columns={"value": "scripted"})
-    both = own.drop(columns=["who", "measure"]).merge(best, on=["place", "shield"])
+    best = best[["place", "shield", "who", "value"]].rename(columns={"who": "rule", "value": "scripted"})
+    both = own.drop(columns=["learned", "measure"]).merge(best, on=["place", "shield"])
     for name, of in (("gap", "value"), ("gap_low", "low"), ("gap_high", "high")):
         both[name] = both.pop(of) - both["scripted"]
     verdict = np.select([both["gap_low"] > 0, both["gap_high"] < 0], ["learned", "scripted"], "open")

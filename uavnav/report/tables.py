@@ -229,9 +229,10 @@ HORIZON: Columns = {
 LEARNED: Columns = {
     "task": "{place}",
     "shield": lambda one: "yes" if one["shield"] else "no",
-    "best scripted policy": "{who}",
+    "best scripted policy": "{rule}",
     "its reward": "{scripted:.1f}",
-    "PPO best earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "learned": "{who}",
+    "earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
     "seeds": "{n}",
     "ahead": "{verdict}",
 }

@@ -80,8 +80,10 @@ class PPOConfig(RolloutConfig):
             "epochs": 8,
             "lr": 1e-3,
         },
-        "best": {  # of some twenty settings, on `validation`: a horizon of 500 steps, for a crash costs late
-            "total_frames": 2_000_000,
+        # of some twenty settings, on `validation`: a horizon of 500 steps, for a crash costs late, and short
+        # episodes, for who flies safely else sees few layouts
+        "best": {
+            "total_frames": 4_000_000,
             "n_envs": 128,
             "frames_per_batch": 4096,
             "minibatch_size": 512,
@@ -89,6 +91,7 @@ class PPOConfig(RolloutConfig):
             "lr": 1e-3,
             "anneal_lr": True,
             "gamma": 0.998,
+            "max_steps": 500,
         },
     }
 

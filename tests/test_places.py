@@ -7,7 +7,7 @@ import torch
 
 from uavnav.evaluation import fly, on
 from uavnav.report.behaviour import BEFORE_CRASH, COLUMNS, by_layout, early, measures, of_steps, retrace
-from uavnav.report.claims import ACTIVATIONS, ALGORITHMS, CLAIMS
+from uavnav.report.claims import ACTIVATIONS, CLAIMS, COMPARED
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import REPLICATES, audit
 from uavnav.tasks import layouts
@@ -95,7 +95,7 @@ def test_claim_9_is_judged_by_layout_with_one_number_a_set_of_obstacles():
     """
     places = np.array([0.1, 0.9, 0.4, 0.2, 0.7, 0.3])
     little = np.array([1.0, -1.0, 0.5, -0.5, 0.2, -0.2]) / 1000
-    configurations = {("main", one, other): None for one in ALGORITHMS for other in ACTIVATIONS}
+    configurations = {("main", one, other): None for one in COMPARED for other in ACTIVATIONS}
     tables = {}
     for place in configurations:
         values = places + (0.01 + little if place[1] == "dqn" else 0.0)

@@ -1,11 +1,11 @@
 """Proximal Policy Optimization, sec. 3.3, from top to bottom: config, networks, loss, learning.
 
     L_clip  = E[min(r A, clip(r, 1 - epsilon, 1 + epsilon) A)],  r = pi(a|s) / pi_old(a|s)        eq. (2)
-    A       = generalised advantage estimate of R + gamma V(s') - V(s), lambda = 0                 eq. (3)
+    A       = generalised advantage estimate of R + gamma V(s') - V(s)                             eq. (3)
     L_value = (V(s) - V_target)^2                                                                  eq. (4)
 
-Everything has a leading axis of agents A, one per seed, that learn side by side and independently of each
-other.
+Eq. (3) has lambda = 0; the default is Stable-Baselines3's 0.95. Everything has a leading axis of agents A,
+one per seed, that learn side by side and independently of each other.
 Letters: A agents, W environments an agent, T steps of a rollout.
 """
 
@@ -80,8 +80,8 @@ class PPOConfig(RolloutConfig):
             "epochs": 8,
             "lr": 1e-3,
         },
-        # of some twenty settings, on `validation`: a horizon of 500 steps, for a crash costs late, and short
-        # episodes, for who flies safely else sees few layouts
+        # of some 25 settings, on `validation`: gamma looks 500 steps ahead, because a crash costs late, and
+        # episodes end after 500, because a drone that flies safely else sees few layouts
         "best": {
             "total_frames": 4_000_000,
             "n_envs": 128,
@@ -118,7 +118,7 @@ PRESETS = {name: PPOConfig(preset=name) for name in PPOConfig.PRESETS}
 
 
 def make_networks(config: TrainConfig) -> tuple[nn.Sequential, nn.Sequential]:
-    """Separate policy [A, ..., 30] -> [A, ..., 100] logits and value [A, ..., 30] -> [A, ..., 1] networks."""
+    """Separate networks of observations [A, ..., 30]: policy, logits [A, ..., 100]; value [A, ..., 1]."""
     return config.network("policy network", config.world.n_actions, 0.01), config.network("value network", 1)
 
 

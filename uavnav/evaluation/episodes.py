@@ -1,7 +1,7 @@
 """One loop for all episodes that are not training: evaluations, replays and films see the same ones.
 
-Each policy has one episode on each layout of the task. It does not depend on who else is there. The
-number of episodes and the time limit decide when the step is compiled, which rounds otherwise. What faults
+Each policy has one episode on each layout of the task. Who else is there, and the number of cores, can only
+change its rounding: the number of episodes and the time limit decide when the step is compiled. What faults
 draw follows from the policy's seed, the layout and the step. Letters: F episodes that go on, P places of a
 batch, which also contains some that have ended.
 """

@@ -1,7 +1,7 @@
 """The paper's claims as data: each is a list of parts, which `verdicts` judges by one rule.
 
 A part asks whether linear contrasts of configurations' means over training seeds are above zero. To add a
-claim, add a line to `CLAIMS`. The paper's own effect is the same function of its printed tables. Claims 12 to
+claim, see CONTRIBUTING.md. The paper's own effect is the same function of its printed tables. Claims 12 to
 16, of the paper's discussion, are asked of the study `worlds`; the paper prints no number for them. They were
 fixed before that study was run. What other settings are asked (`Claim.elsewhere`), which of the parts of
 claims 9, 10 and 13 count, and claim 4 by SB3's log came later, when the runs had been read.
@@ -32,11 +32,11 @@ TRAINING, LOG, FINAL, OTHER = (
 )
 COLUMNS = {TRAINING: PER_FRAME, LOG: LOG_CURVE, FINAL: SAMPLED, OTHER: SAMPLED}
 """What a claim is graded on, none of which is the whole answer, and the metric definition of each."""
-ALGORITHMS = ("ppo", "dqn")
+COMPARED = ("ppo", "dqn")
 """Those that the claims compare: the first is said to be better."""
 BOUNDED, UNBOUNDED = ("tanh", "sigmoid"), ("relu", "leaky_relu")
 ACTIVATIONS = (*BOUNDED, *UNBOUNDED)
-CONFIGURATIONS = tuple(itertools.product(ALGORITHMS, ACTIVATIONS))
+CONFIGURATIONS = tuple(itertools.product(COMPARED, ACTIVATIONS))
 SIX = {name: METRICS[name] for name in paper.COLUMNS}
 """The metrics of the paper's tables."""
 SURGE = (300_000, 600_000)
@@ -173,7 +173,7 @@ def _of(algorithm: str, *activations: str) -> list[tuple[str, str]]:
     return [(algorithm, one) for one in activations or ACTIVATIONS]
 
 
-PPO, DQN = map(_of, ALGORITHMS)
+PPO, DQN = map(_of, COMPARED)
 
 
 def _terms(configurations: Keys, metric: str) -> tuple[Term, ...]:
@@ -258,7 +258,7 @@ def _penalties_cure() -> list[Part]:
     questions = {"stops": "stops", "full_stops": "full stops", "turns": "turning"}
     questions["reversals"] = "reversals of turning per step"
     parts = []
-    for algorithm, (metric, words) in itertools.product(ALGORITHMS, questions.items()):
+    for algorithm, (metric, words) in itertools.product(COMPARED, questions.items()):
         first, second = ([(algorithm, one, study) for one in PAIR] for study in ("initial", "baseline"))
         text = f"{words}: {algorithm.upper()} more under the first reward"
         parts.append(_means(text, metric, first, second))
@@ -288,7 +288,7 @@ def _other_settings() -> list[Part]:
     """PPO against DQN with the preset `fast` and after tuning, of the activations that have runs."""
     parts = []
     for study, activations in {FAST: BOUNDED, TUNED: ("tanh",)}.items():
-        up, down = ([(algorithm, one, study) for one in activations] for algorithm in ALGORITHMS)
+        up, down = ([(algorithm, one, study) for one in activations] for algorithm in COMPARED)
         parts += _six(f"PPO better than DQN, {study}", up, down, make=_means)
     return parts
 
@@ -442,7 +442,7 @@ CLAIMS = (
         [
             *(
                 _bounded(algorithm, metric)
-                for algorithm in ALGORITHMS
+                for algorithm in COMPARED
                 for metric in ("reward", "steps", "distance")
             ),
             _means(

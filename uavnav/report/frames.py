@@ -244,9 +244,9 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
     other side of zero than as decided; `sign` if only the estimate does.
     """
     rows = []
-    of_each = dict.fromkeys([*claims.ALGORITHMS, *algorithms(studies.baseline)])
-    between = " above ".join(map(str.upper, claims.ALGORITHMS))
-    conclusions: dict[str, tuple[str, ...]] = {between: claims.ALGORITHMS}
+    of_each = dict.fromkeys([*claims.COMPARED, *algorithms(studies.baseline)])
+    between = " above ".join(map(str.upper, claims.COMPARED))
+    conclusions: dict[str, tuple[str, ...]] = {between: claims.COMPARED}
     conclusions |= {f"{one.upper()}: tanh above ReLU": (one,) for one in of_each}
     for switch, own in {AS_DECIDED: studies.baseline, **studies.switches}.items():
         there = studies.baseline | own
@@ -324,12 +324,12 @@ def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
     The first two rows are of the activations that both algorithms have with the preset `fast`. winners: of
     trials; a row each for them, and for the lead with the preset minus theirs.
     """
-    both = [{one for which, one in studies.tuned if which == name} for name in claims.ALGORITHMS]
-    shared = [one for which, one in studies.tuned if which == claims.ALGORITHMS[0] and one in both[1]]
+    both = [{one for which, one in studies.tuned if which == name} for name in claims.COMPARED]
+    shared = [one for which, one in studies.tuned if which == claims.COMPARED[0] and one in both[1]]
     words = ", ".join(shared)
 
     def flown(found: Configurations, activations: Sequence[str]) -> list[stats.Array]:
-        keys = itertools.product(claims.ALGORITHMS, activations)
+        keys = itertools.product(claims.COMPARED, activations)
         return [of_seeds(found[key], SAMPLED) if key in found else np.empty(0) for key in keys]
 
     fast, searched = flown(studies.tuned, shared), flown(winners, ["tanh"])

@@ -15,8 +15,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
-from uavnav.report.claims import ALGORITHMS as OF_PAPER
-from uavnav.report.claims import NAMES
+from uavnav.report.claims import COMPARED, NAMES
 from uavnav.report.configurations import Configuration, episodes_of, one_line, show
 from uavnav.report.frames import RULE, estimates, name, per_seed_values
 from uavnav.report.studies import Configurations
@@ -507,7 +506,7 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
     logged = metrics[(metrics["metric"] == "reward") & (metrics["definition"] == LOG_CURVE)]
     flown = gaps[gaps["mode"].isin((MODES[1], "scripted"))]
     rows = [["episode reward", "the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]]
-    for algorithm, activation in sorted(paper.TABLES, key=lambda key: OF_PAPER.index(key[0])):
+    for algorithm, activation in sorted(paper.TABLES, key=lambda key: COMPARED.index(key[0])):
         of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
         own = flown[flown["who"] == name(algorithm, activation)]
         printed = number(paper.printed(algorithm, activation, "reward"), 1)

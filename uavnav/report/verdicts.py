@@ -1,5 +1,4 @@
-"""The second rule of the audit: Welch's intervals over training seeds, equivalence, Holm within a claim,
-grades.
+"""The rule that grades claims: Welch's intervals over training seeds, equivalence, Holm within a claim.
 
 templates/prose.md says it in words. Where seeds scatter as ours do (per frame, two configurations of an
 algorithm), Welch's 95 % intervals cover 94.9, 94.3, 94.1 and 94.5 % with 5, 10, 20 and 40 seeds, and
@@ -156,7 +155,7 @@ def _grades(verdicts: Names, standings: Names) -> Names:
 
     Of the parts that count: all replicate -> replicates (in part while others wait for their runs); some ->
     in part; none, and one reverses or is absent -> does not; none, and one is smaller -> smaller; none, and
-    nothing is shown -> open. A claim none of whose parts is graded is context.
+    nothing is shown -> open. A claim all of whose parts are only shown is context.
     """
     counting, waits = standings == COUNTS, (standings == NO_RUNS).any(-1)
     do, against, less = (

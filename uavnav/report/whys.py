@@ -13,11 +13,11 @@ from typing import NamedTuple
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.claims import ALGORITHMS, PAIR, Evidence
+from uavnav.report.claims import COMPARED, PAIR, Evidence
 
 Place = tuple[str, str, str]
 """Study, algorithm and activation, as `Evidence` takes them."""
-PPO, DQN = ALGORITHMS
+PPO, DQN = COMPARED
 SHORT, LONG = "baseline", "vectorised"
 """Studies that change nothing, of fewer and of as many frames as the paper's."""
 
@@ -64,7 +64,7 @@ def _activations() -> Answers:
     changed = {"layer_norm=True": "LayerNorm", "init=unit": "one scale"}
     rows: dict[str, Place] = {}
     contrasts = []
-    for one in ALGORITHMS:
+    for one in COMPARED:
         rows |= {f"{one.upper()} {activation}": (SHORT, one, activation) for activation in plain}
         for study, label in changed.items():
             rows |= {
@@ -86,11 +86,11 @@ def _of_pair(study: str, how: str, metrics: Sequence[str], labels: Mapping[str, 
     """A row for each algorithm, activation of the pair and study; a study against `LONG`."""
     rows = {
         f"{one.upper()} {activation}, {label}": (which, one, activation)
-        for one, activation in itertools.product(ALGORITHMS, PAIR)
+        for one, activation in itertools.product(COMPARED, PAIR)
         for which, label in labels.items()
     }
     contrasts = []
-    for metric, one in itertools.product(metrics, ALGORITHMS):
+    for metric, one in itertools.product(metrics, COMPARED):
         first, second = (tuple((which, one, activation) for activation in PAIR) for which in (study, LONG))
         contrasts.append(Contrast(metric, f"{one.upper()} {how}", first, second))
     return rows, contrasts

@@ -1,6 +1,7 @@
 """The one training loop: the only home of recorder, display, collector, workers and checkpoints.
 
 An algorithm's module imports `train` from here. The `make` of its configuration gives the loop a `Trainee`.
+On Ctrl-C the recorder notes the signal (`Recorder._note_stop`), and the iteration's end saves the run.
 """
 
 from __future__ import annotations

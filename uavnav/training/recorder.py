@@ -299,8 +299,7 @@ class Recorder:
         signal.signal(number, self._handlers[number])
 
     def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
-        """Set the parts to the newest usable snapshot, where there is one, and tell the log what was before
-        the run.
+        """Set the parts to the newest usable snapshot, where there is one, and tell the log its rows.
 
         Returns:
             The frames per seed that the snapshot has behind it.

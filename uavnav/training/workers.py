@@ -1,8 +1,9 @@
 """A run's seeds spread over processes: each worker is an ordinary run of some seeds, below the run's folder.
 
-    workers/0        a run's folder, with its settings, snapshots and lock, and with its tables once it has
-    finished workers/0.job    what its process is told, in JSON workers/0.ended  how its process ended, in
-    JSON workers/0.log    what its process prints, where a study has given it to an engine
+    workers/0        a run's folder: settings, snapshots and lock; its tables once it has finished
+    workers/0.job    what its process is told, in JSON
+    workers/0.ended  how its process ended, in JSON
+    workers/0.log    what its process prints, where a study has given it to an engine
 
 Whoever starts a worker reads its `progress.json`, and writes the file `stop` to have it save and end. When
 all have finished, their rows and weights are put together, and `workers` goes.

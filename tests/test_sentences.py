@@ -44,7 +44,12 @@ def test_each_sentence_holds_over_the_committed_rows_and_each_of_its_numbers_is_
 def negated(table):
     """With every effect on the other side of zero."""
     turned = table.copy()
-    for ends in (("low", "high"), ("ratio_low", "ratio_high"), ("gap_low", "gap_high")):
+    for ends in (
+        ("low", "high"),
+        ("ratio_low", "ratio_high"),
+        ("gap_low", "gap_high"),
+        ("gain_low", "gain_high"),
+    ):
         if {*ends} <= {*table.columns}:
             turned[[*ends]] = -table[[*reversed(ends)]].to_numpy()
     return turned

@@ -262,6 +262,7 @@ TINY = {
     "train a2c": ["n_envs=64", "total_frames=2048", "compile=off", "evaluate=false"],
     "train c51": ["n_envs=64", "total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "train dqn": ["n_envs=64", "total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
+    "train pqn": ["n_envs=64", "total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
     "train sac": ["n_envs=64", "total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "20"],
     "render": ["--steps", "20"],

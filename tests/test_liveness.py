@@ -26,7 +26,7 @@ from uavnav.studies.run import Runner
 from uavnav.training import heartbeat, workers
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
-from uavnav.training.recorder import Recorder
+from uavnav.training.recorder import Interrupted, Recorder
 
 CONFIG = PPOConfig(
     n_envs=16,
@@ -282,6 +282,25 @@ def test_an_engine_that_is_slow_now_and_then_ends_no_job(study, monkeypatch):
     failed, said = study(engine, seeds_per_worker=2, evaluation=None)
     assert (failed, engine.given) == ([], 1)
     assert len(said) == 1
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_study_that_is_stopped_asks_workers_that_train_to_save_and_waits_for_none_that_flies(
+    missing, study, tmp_path, monkeypatch
+):
+    class Busy(Engine):
+        def start(self, jobs):
+            for words in jobs:
+                log = Path(words[3])
+                log.touch()
+                heartbeat.tell(log.with_suffix(""), CONFIG.frames - missing, CONFIG.frames, None)
+            return super().start([["sleep", "60"] for _ in jobs])
+
+    impatient(monkeypatch)
+    monkeypatch.setattr(workers, "STOP_SECONDS", 0.1)
+    with pytest.raises(Interrupted, match="stopped by SIGTERM"):
+        study(Busy(), tell=lambda works: os.kill(os.getpid(), signal.SIGTERM))
+    assert len([*tmp_path.rglob(STOP)]) == missing
 
 
 def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatch):

@@ -16,6 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import stats, style
+from uavnav.colours import colours
 from uavnav.report.apart import flights
 from uavnav.report.frames import RULE
 from uavnav.stats import Array
@@ -86,15 +87,15 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     side_by_side = (1, len(limits)) if width >= style.WIDTH else (len(limits), 1)
     drawn = Figure(figsize=(width, 3.4 * side_by_side[0] + 0.6), layout="constrained")
     grid = drawn.subplots(*side_by_side, squeeze=False).ravel()
-    looks = dict(
-        zip(sorted(found["gamma"].unique()), zip(style.COLOURS.values(), "os^D", strict=True), strict=False)
-    )
+    gammas = sorted(found["gamma"].unique())
+    looks = dict(zip(gammas, zip(colours(["ppo"] * len(gammas)), "os^Dv", strict=False), strict=False))
     said = []
     for axes, (limit, panel) in zip(grid, limits, strict=True):
         for gamma, line in panel.groupby("gamma"):
             ends = np.abs(line[["value_low", "value_high"]].to_numpy().T - line["value"].to_numpy())
             colour, marker = looks[gamma]
-            axes.errorbar(line["frames"] / 1e6, line["value"], ends, color=colour, marker=marker, capsize=3)
+            at = line["frames"] / 1e6 + 0.02 * gammas.index(gamma)  # so that no interval hides another
+            axes.errorbar(at, line["value"], ends, color=colour, marker=marker, capsize=3)
             said.append(f"{limit:,} steps, gamma {gamma:g}: {style.number(line['value'].iloc[-1])}")
         axes.axhline(panel["scripted"].iloc[0], **style.RULED)
         axes.set_title(f"at most {limit:,} steps")

@@ -51,6 +51,7 @@ class Local:
             os.killpg(job.pid, signal.SIGKILL)
 
     def close(self) -> None:
-        workers.end(self._running)
-        for job in self._running:  # what a process has started may outlive it
+        running = [job for job in self._running if job.poll() is None]  # others' numbers may be given again
+        workers.end(running)
+        for job in running:  # what a process has started may outlive it
             self.cancel(job)

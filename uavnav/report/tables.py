@@ -241,8 +241,8 @@ SHIELDED: Columns = {
     "who": "{who}",
     "reward": "{value:.1f}",
     "more under the shield": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
-    "collisions per 1,000 px": "{collisions:.2f}",
-    "under the shield": "{left:.2f}",
+    "collisions per 1,000 px": "{collisions:.3f}",
+    "under the shield": "{left:.3f}",
     "seeds": "{n}",
 }
 """Of `learned.shielded`."""

@@ -49,7 +49,7 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     replay = make_replay(config)
 
     # update: Adam on each seed's own gradient, whose norm is clipped
-    adam = Adam(config.lr, config.adam_eps)
+    adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
     how = {"max_grad_norm": config.max_grad_norm, "compile": session.compile}
     how |= {"read": replay.read, "memory": [replay.storage.ring]}
     learner = Learner(loss, ["loss"], adam, **how)

@@ -52,7 +52,7 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     advantage = make_advantage(config.gamma, config.gae_lambda)
 
     # update: Adam on each seed's own gradient, whose norm is clipped
-    adam = Adam(config.lr, config.adam_eps)
+    adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
     learner = Learner(loss, loss.names, adam, max_grad_norm=config.max_grad_norm, compile=session.compile)
     orders = Streams(config.seeds, "minibatches")
 

@@ -207,6 +207,17 @@ def test_the_gradient_of_3_agents_is_each_ones_own(algorithm, monkeypatch):
 # -- what it learns from -------------------------------------------------------------------------------------
 
 
+def test_an_annealed_rate_comes_to_0_one_update_after_the_last(algorithm, tmp_path, monkeypatch):
+    config, learners, step = configured(algorithm, anneal_lr=True), set(), Learner.step
+    monkeypatch.setattr(Learner, "step", lambda self, batch: learners.add(self) or step(self, batch))
+    train(config, tmp_path / "run", quiet=True)
+    (learner,) = learners
+    assert learner.steps == learner.optimiser.until == config.updates
+    last, after = torch.tensor([config.updates, config.updates + 1.0], dtype=torch.float64)[:, None]
+    assert learner.optimiser.rates(after)[0, 0] == 0 < learner.optimiser.rates(last)[0, 0]
+    assert configured(algorithm).make(compile=False).learner.optimiser.until == float("inf")
+
+
 def test_a_cap_bootstraps_from_its_own_last_observation_and_a_collision_does_not(algorithm):
     """The same steps four times: ended by the time limit or by a collision, in one place or in another."""
     config = configured(algorithm, max_steps=3, total_frames=256, n_seeds=1)

@@ -192,10 +192,3 @@ def test_the_losses_of_one_agent_and_their_gradients_are_those_of_torchrls_own(c
         torch.testing.assert_close(ours, torchrls, **CLOSE)
     ratio = (actor.get_dist(batch).log_prob(batch["action"]) - batch["action_log_prob"]).exp()
     assert ((ratio - 1).abs() > 1).sum() >= 4
-
-
-def test_an_annealed_rate_takes_two_iterations_of_eight_epochs_to_fall_to_0():
-    config = PPOConfig(preset="best", total_frames=8192, compile="off")
-    ppo = config.make(compile=False)
-    assert ppo.learner.optimiser.until == 2 * 8 * 4096 // 512
-    assert PPOConfig().make(compile=False).learner.optimiser.until == float("inf")

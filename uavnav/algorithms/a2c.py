@@ -109,7 +109,7 @@ def make_loss(policy: nn.Module, value: nn.Module, config: A2CConfig) -> A2CLoss
 def make_learner(loss: nn.Module, config: A2CConfig, compile: bool) -> Learner:
     """RMSprop as SB3's A2C sets it."""
     losses = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
-    rmsprop = RMSprop(config.lr, config.rms_eps)
+    rmsprop = RMSprop(config.lr, config.rms_eps, until=config.lr_ends_at)
     return Learner(loss, losses, rmsprop, max_grad_norm=config.max_grad_norm, compile=compile)
 
 

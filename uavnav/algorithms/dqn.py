@@ -161,7 +161,7 @@ def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
 
 def make_learner(loss: nn.Module, config: QConfig, compile: bool, replay: Replay | None = None) -> Learner:
     """Adam as SB3 sets it, for transitions, or for what is drawn of a ring."""
-    adam = Adam(config.lr, config.adam_eps)
+    adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
     how: dict[str, Any] = {"read": replay.read, "memory": [replay.storage.ring]} if replay else {}
     return Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile, **how)
 

@@ -64,6 +64,10 @@ class RolloutConfig(TrainConfig):
     def frames_per_iteration(self) -> int:
         return self.frames_per_batch
 
+    @property
+    def updates(self) -> int:
+        return self.frames // self.minibatch_size * self.epochs
+
 
 class PPOConfig(RolloutConfig):
     """Proximal Policy Optimization, sec. 3.3; the defaults are Stable-Baselines3's of the paper's time."""
@@ -96,7 +100,6 @@ class PPOConfig(RolloutConfig):
     }
 
     lr: AtLeast0 = key(3e-4, "Adam's learning rate")
-    anneal_lr: bool = key(False, "the learning rate falls linearly to 0 over the training")
     minibatch_size: Whole = key(64, ge=2)
     adam_eps: AtLeast0 = key(1e-5, "Adam's ε")
     gae_lambda: Share = key(0.95, "λ of the advantage estimate")
@@ -170,8 +173,7 @@ class PPOLoss(nn.Module):
 
 def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
-    steps = config.frames // config.minibatch_size * config.epochs
-    adam = Adam(config.lr, config.adam_eps, until=steps if config.anneal_lr else math.inf)
+    adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
     return Learner(loss, loss.names, adam, max_grad_norm=config.max_grad_norm, compile=compile)
 
 

@@ -94,7 +94,7 @@ class PQN:
         self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon)
         # with max Q as a state's value, the advantage plus that value is G
         self.targets = make_advantage(config.gamma, config.q_lambda)
-        adam = Adam(config.lr, config.adam_eps)
+        adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
         self.learner = Learner(self.loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile)
         self.orders = Streams(config.seeds, "minibatches")
         self.probe = probes.poses(config.make_task()).to(config.device)

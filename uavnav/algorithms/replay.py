@@ -97,6 +97,11 @@ class ReplayConfig(TrainConfig):
         return max(self.n_envs // self.frames_per_update, 1)
 
     @property
+    def updates(self) -> int:
+        rounds = self.iterations - self.frames_before_learning // self.frames_per_iteration
+        return max(rounds, 0) * self.updates_per_step
+
+    @property
     def frames_between_rows(self) -> int:
         """Frames per seed from one row of progress to the next, whole rounds of updates."""
         return max(LOG_FRAMES // self.frames_per_iteration, 1) * self.frames_per_iteration

@@ -138,7 +138,7 @@ def make_learner(loss: nn.Module, config: SACConfig, compile: bool, replay: Repl
     it. For transitions, or for what is drawn of a ring.
     """
     losses = ["loss_actor", "loss_qvalue", "loss_alpha"]
-    adam = Adam(config.lr, config.adam_eps)
+    adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
     how: dict[str, Any] = {"read": replay.read, "memory": [replay.storage.ring]} if replay else {}
     how |= {"max_grad_norm": config.max_grad_norm, "tau": config.tau}
     return Learner(loss, losses, adam, compile=compile, **how)

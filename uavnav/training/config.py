@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import warnings
 from collections.abc import Mapping
@@ -81,6 +82,7 @@ class TrainConfig(Settings):
     n_envs: Count = key(1, "that act in parallel", "environments per seed")
     hidden: Units = key((64, 64), "of each hidden layer", "units")
     lr: AtLeast0 = key(3e-4, "learning rate")
+    anneal_lr: bool = key(False, "the learning rate falls linearly to 0 over the training")
     gamma: Share = key(0.99, "discount of a step")
     max_grad_norm: AtLeast0 | None = key(0.5, "to which each agent's gradient is scaled down")
     init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
@@ -281,6 +283,16 @@ class TrainConfig(Settings):
     def frames_before_learning(self) -> int:
         """Per seed, until the first update."""
         return 0
+
+    @property
+    def updates(self) -> int:
+        """Gradient steps of a training: here one an iteration."""
+        return self.iterations
+
+    @property
+    def lr_ends_at(self) -> float:
+        """The gradient step at which the learning rate comes to 0."""
+        return self.updates if self.anneal_lr else math.inf
 
     @property
     def final_epsilon(self) -> float:

@@ -36,6 +36,11 @@ Read = Callable[..., TensorDictBase]
 """Makes of a minibatch, and of tensors where these are in, what a loss is given; compiled with the step."""
 
 
+def falling(lr: float, step: Tensor, until: float) -> Tensor:
+    """The learning rate of a step, counted from 1, if it falls linearly to 0 over `until` steps."""
+    return lr * (1 - (step - 1) / until)
+
+
 class Adam(NamedTuple):
     """As at the end of section 2 of Kingma and Ba (2015): the bias of the moments is corrected in the
     rate, which may fall linearly to 0 over `until` steps.
@@ -49,7 +54,7 @@ class Adam(NamedTuple):
     def rates(self, step: Tensor) -> Tensor:
         """step [M] float64, counted from 1 -> what `step` is given of each, [M, 2]."""
         correction = (1 - BETA2**step).sqrt()
-        lr = self.lr * (1 - (step - 1) / self.until)
+        lr = falling(self.lr, step, self.until)
         return torch.stack([lr * correction / (1 - BETA1**step), self.eps * correction], -1)
 
     def step(
@@ -69,10 +74,11 @@ class RMSprop(NamedTuple):
     lr: float
     eps: float
     moments: tuple[str, ...] = ("square",)
+    until: float = math.inf
 
     def rates(self, step: Tensor) -> Tensor:
         """step [M] float64 -> what `step` is given of each, [M, 1]."""
-        return torch.full((len(step), 1), self.lr, dtype=step.dtype, device=step.device)
+        return falling(self.lr, step, self.until)[:, None]
 
     def step(
         self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase

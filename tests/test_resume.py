@@ -132,6 +132,16 @@ def test_a_run_stopped_by_a_signal_and_resumed_ends_the_same(whole, tmp_path, nu
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_the_first_ctrl_c_on_a_terminal_says_what_happens_and_elsewhere_nothing(
+    whole, tmp_path, monkeypatch, capfd
+):
+    interrupted(whole, tmp_path / "run", 16)
+    assert capfd.readouterr().err == ""
+    monkeypatch.setattr(type(sys.stderr), "isatty", lambda self: self is sys.stderr)
+    interrupted(whole, tmp_path / "again", 16)
+    assert capfd.readouterr().err.count("stopping: the run is saved after this iteration") == 1
+
+
 def test_a_run_stopped_four_times_ends_the_same(whole, tmp_path):
     train, config, run = whole
     for frames in (300, 800, 1100, 1900):

@@ -9,6 +9,7 @@ import json
 import os
 import shutil
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -57,6 +58,8 @@ Log = Callable[[Columns], None]
 """Is told rows of progress with a column more: `reward`, as of `with_reward`."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
+HEARD = b"\nstopping: the run is saved after this iteration; a second Ctrl-C ends it at once, unsaved\n"
+"""Said on a terminal at the first of them."""
 SNAPSHOT_FORMAT = 7
 """Raised when what a snapshot contains of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
@@ -297,6 +300,8 @@ class Recorder:
         """The first signal waits for the iteration's end. A second signal gets its previous handler."""
         self.stop = number
         signal.signal(number, self._handlers[number])
+        if sys.stderr.isatty():
+            os.write(sys.stderr.fileno(), HEARD)
 
     def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
         """Set the parts to the newest usable snapshot, where there is one, and tell the log its rows.

@@ -65,7 +65,7 @@ def evaluated(path, reward, protocol, **settings):
         rows(seed, (9, 9, 0, 0, 0, 9, reward + seed), (9, 9, 0, 0, 0, 9, reward + seed)) for seed in (0, 1)
     ]
     episodes = pd.concat([seeds.assign(layout=[0, 1], mode="sampled") for seeds in one], ignore_index=True)
-    run = write_run(path, *one, algorithm="ppo", **settings)
+    run = write_run(path, *one, **{"algorithm": "ppo"} | settings)
     kept(run, protocol.file("evaluation"), episodes, protocol)
     return run
 
@@ -354,3 +354,14 @@ def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_sc
     assert (
         learned.figure(tables["learned"]).alt == "The most reward per episode: drone: PPO best + shield 7.00."
     )
+
+
+def test_pqns_best_is_judged_by_its_greedy_episodes_and_ppos_by_sampled_ones(tmp_path):
+    protocol = Protocol("test", 2, 9)
+    for algorithm in ("ppo", "pqn"):
+        run = evaluated(tmp_path / f"learned/drone/{algorithm}/relu", 5.0, protocol, algorithm=algorithm)
+        sampled = Run(run).evaluation()
+        greedy = sampled.assign(mode="greedy", reward=sampled["reward"] + 4)
+        kept(run, protocol.file("evaluation"), pd.concat([sampled, greedy]), protocol)
+    table = learned.gather([tmp_path])[0]["learned"].query("measure == 'reward'").set_index("who")
+    assert table["value"].to_dict() == {"PPO best": 5.5, "PQN best": 9.5}

@@ -53,6 +53,19 @@ class PQNConfig(RolloutConfig, ExploringConfig):
             "epsilon_end": 0.01,
             "exploration_fraction": 0.2,
         },
+        "best": {  # the same for longer, in episodes of at most 500 steps, as PPO's
+            "total_frames": 2_000_000,
+            "n_envs": 128,
+            "frames_per_batch": 4096,
+            "minibatch_size": 256,
+            "anneal_lr": True,
+            "activation": "relu",
+            "gamma": 0.995,
+            "q_lambda": 0.9,
+            "epsilon_end": 0.01,
+            "exploration_fraction": 0.2,
+            "max_steps": 500,
+        },
     }
 
     lr: AtLeast0 = key(5e-4, "Adam's learning rate")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,13 +25,17 @@ class Flight(NamedTuple):
     who: str  # the configuration, or the scripted policy
     run: Run | None  # None: of a scripted policy
     how: dict[str, Any]  # `task`, `layouts`, `max_steps`, `faults`, `shield`, and `at`, the share of training
-    rows: pd.DataFrame  # sampled episodes
+    rows: pd.DataFrame  # sampled episodes, or greedy ones where these are asked for
     reward: Array  # a seed's mean over them, [S]
     gap: Array  # the same minus the reward of the scripted policy `reactive` on the same layouts, [S]
 
 
-def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str]]:
+def flights(
+    folders: Sequence[Path], study: str, greedy: Collection[str] = ()
+) -> tuple[list[Flight], list[str]]:
     """All evaluations of a study, and a line for what cannot be read; seeds are in order.
+
+    greedy: algorithms whose policies are judged greedily, the others sampled.
 
     Raises:
         RunError: a folder cannot be read.
@@ -49,16 +53,17 @@ def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str
             try:
                 run = Run(path, rows=False)
                 who = name(run.algorithm, run.config["activation"])
-                found += [_flight(who, run, rows, rules) for rows in _sampled(run)]
+                mode = MODES[run.algorithm not in greedy]
+                found += [_flight(who, run, rows, rules) for rows in _episodes(run, mode)]
             except RunError as error:
                 left_out.append(one_line(error))
     return found, left_out
 
 
-def _sampled(run: Run) -> Iterator[pd.DataFrame]:
+def _episodes(run: Run, mode: str) -> Iterator[pd.DataFrame]:
     for path in run.evaluations():
         rows = read_table(path, EVALUATED | {"mode": "object"}, "evaluate the run again")
-        yield rows[rows["mode"] == MODES[1]]
+        yield rows[rows["mode"] == mode]
 
 
 def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:

@@ -3,7 +3,9 @@ collide.
 """
 
 import math
+from pathlib import Path
 
+import pandas as pd
 import pytest
 import torch
 
@@ -13,6 +15,7 @@ from uavnav.tasks.baselines import BASELINES, reactive, straight_ahead, suited, 
 from uavnav.tasks.table import make_task
 
 EMPTY = uavnav.layouts.generate(3, k=0)
+COMMITTED = Path(__file__).parent.parent / "results" / "baselines" / "reactive.parquet"
 LEFT_IN_PLACE = 50  # 5 degrees, 0 px
 
 
@@ -57,8 +60,9 @@ def test_straight_ahead_hits_a_circle_above_it_after_its_edges_distance_less_30_
 
 
 @pytest.mark.slow
-def test_reactive_flies_10000_steps_and_over_3000_px_on_each_of_200_test_sets_without_a_collision():
+def test_reactive_flies_the_committed_rows_10000_steps_and_3000_px_on_200_test_sets_without_a_collision():
     rows = evaluate_policy(reactive, episodes=200, max_steps=10_000)
+    pd.testing.assert_frame_equal(pd.read_parquet(COMMITTED)[rows.columns], rows)
     assert rows.truncated.all()
     assert rows.steps.mean() == 10_000
     assert rows.distance.mean() > 3_000

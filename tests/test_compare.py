@@ -13,7 +13,7 @@ from rich.console import Console
 
 from uavnav.cli import commands
 from uavnav.cli import compare as command
-from uavnav.evaluation import EPISODES, MAX_STEPS, Protocol
+from uavnav.evaluation import EPISODES, Protocol, evaluate_policy
 from uavnav.report import compare
 from uavnav.report.compare import (
     Contender,
@@ -29,6 +29,7 @@ from uavnav.report.compare import (
     text,
 )
 from uavnav.report.tables import side_by_side
+from uavnav.tasks.baselines import reactive
 
 main = functools.partial(commands.run, "compare")
 
@@ -145,13 +146,13 @@ def test_committed_runs_are_compared_without_torch():
     assert subprocess.run(words, capture_output=True, check=False).returncode == 0
 
 
-def test_a_scripts_rows_beside_a_run_are_those_that_it_flies():
+def test_a_scripts_rows_beside_a_run_are_the_kept_ones_or_those_that_it_flies():
+    """The kept ones are what it flies: see test_baselines."""
     _, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
-    flown = compare.fly(
-        "reactive", Protocol("test", 20, MAX_STEPS).header(), None, "results/vectorised/ppo/tanh"
-    ).episodes
-    mine = kept.episodes[kept.episodes["layout"] < 20].reset_index(drop=True)
-    pd.testing.assert_frame_equal(mine[flown.columns], flown)
+    assert kept.episodes.equals(pd.read_parquet("results/baselines/reactive.parquet"))
+    short = Protocol("test", 20, 200).header()
+    flown = compare.fly("reactive", short, None, "results/vectorised/ppo/tanh").episodes
+    pd.testing.assert_frame_equal(flown, evaluate_policy(reactive, episodes=20, max_steps=200)[flown.columns])
 
 
 def test_columns_are_named_without_the_folders_that_runs_share():

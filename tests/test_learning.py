@@ -24,7 +24,7 @@ OF_DQN = {
     "lr": 1e-3,
 }
 SETTINGS = {
-    "ppo": {"n_envs": 64, "total_frames": 80_000, "minibatch_size": 256, "epochs": 4, "lr": 1e-3},
+    "ppo": {"n_envs": 64, "total_frames": 40_960, "minibatch_size": 256, "epochs": 4, "lr": 1e-3},
     "a2c": {"n_envs": 64, "total_frames": 80_000, "lr": 2e-3},
     "dqn": OF_DQN,
     "sac": {

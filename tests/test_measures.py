@@ -51,8 +51,9 @@ def test_of_random_flight_they_are_those_of_a_loop_over_its_poses(name):
 
 
 def test_all_other_columns_stay_as_they_are_also_where_a_greedy_policy_goes_round():
-    task, policy = on(make_task(EMPTY), "test", 10, 3_000), load_policy("ppo-tanh")
+    task, policy = on(make_task(EMPTY), "test", 10, 1_500), load_policy("ppo-tanh")
     without, with_ = flown(policy, task, measures=False), flown(policy, task)
+    assert without.truncated.any()
     assert without.equals(with_[[*without]])
     assert {*with_} - {*without} == {"danger", "separation", "turned", "jerk"}
 

@@ -240,6 +240,15 @@ def test_a_recipe_is_uavnav_train_bit_for_bit(recipe, tmp_path, algorithm):
     pd.testing.assert_frame_equal(*rows, check_exact=True)
 
 
+def test_the_recipes_of_later_algorithms_are_a2cs_but_for_the_name():
+    first, *others = (
+        (RECIPES / f"{name}.py").read_text().rpartition('"""')[2].replace(f'"{name}"', "NAME")
+        for name in SHORT
+        if name not in ("ppo", "dqn")
+    )
+    assert {*others} == {first}
+
+
 def test_a_recipe_does_not_go_on_with_a_run_of_several_processes(tmp_path, monkeypatch):
     monkeypatch.setattr(Recorder, "processes", lambda recorder, number: 2)
     with pytest.raises(RunError, match=r"began in 2 processes; uavnav train a2c goes on with it"):

@@ -103,13 +103,13 @@ def test_who_goes_round_for_a_million_steps_is_counted_in_the_time_of_a_thousand
     assert row["reward"] == pytest.approx(-10_000)
 
 
-@pytest.mark.parametrize("limit", [499, 500, 501, 600, 871, 872, 873, 1_231])
+@pytest.mark.parametrize("limit", [499, 500, 501, 871, 872, 873, 1_231])
 def test_any_cap_gives_the_rows_of_flying_it_all(limit, monkeypatch):
     population = {0: always(11), 1: always(50)}
     assert_same(*both(population, on(make_task(EMPTY), OPEN, 2, limit), monkeypatch))
 
 
-@pytest.mark.parametrize("reward", ["eq14", "additive", "initial"])
+@pytest.mark.parametrize("reward", ["eq14", "initial"])
 def test_among_episodes_that_collide_the_one_that_goes_round_is_counted_and_no_row_changes(
     reward, flown, monkeypatch
 ):
@@ -128,7 +128,7 @@ def test_among_episodes_that_collide_the_one_that_goes_round_is_counted_and_no_r
 @pytest.mark.compiled
 def test_trained_policies_that_circle_have_the_rows_of_flying_it_all(monkeypatch):
     population = load_policies(RESULTS / "vectorised" / "ppo" / "relu", [1, 2])
-    one, other = both(population, on(make_task(EMPTY), "test", 20, 4_000), monkeypatch)
+    one, other = both(population, on(make_task(EMPTY), "test", 20, 2_000), monkeypatch)
     assert one.episodes.truncated.sum() >= 1
     assert_same(one, other)
 

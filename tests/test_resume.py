@@ -425,23 +425,6 @@ COMMANDS = {
         "n_seeds=2",
         "compile=off",
     ],
-    "a2c": ["preset=vectorised", "total_frames=24576", "n_seeds=2", "compile=off"],
-    "c51": [
-        "preset=vectorised",
-        "total_frames=3072",
-        "learning_starts=512",
-        "n_atoms=11",
-        "n_seeds=2",
-        "compile=off",
-    ],
-    "sac": [
-        "preset=vectorised",
-        "total_frames=3072",
-        "learning_starts=512",
-        "frames_per_update=8",
-        "n_seeds=2",
-        "compile=off",
-    ],
 }
 
 

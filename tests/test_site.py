@@ -20,7 +20,7 @@ from browsing import NARROW, resize, violations
 from pages import ALL, DOCS, MINE, PAGES, ROOT, blocks
 
 import uavnav
-from uavnav import networks, plugins
+from uavnav import evaluation, networks, plugins
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
@@ -278,8 +278,14 @@ def carry_out(tmp_path, monkeypatch, undrawn):
     monkeypatch.setattr("webbrowser.open", lambda address: True)
     monkeypatch.delenv("WANDB_MODE", raising=False)
     monkeypatch.setattr(machine, "cores", lambda: 1)  # no further processes
-    # of its own episodes
+    # of its own episodes, and where a run has none
     monkeypatch.setattr(compare, "Protocol", functools.partial(Protocol, episodes=2, max_steps=20))
+    evaluate = evaluation.evaluate_run
+
+    def few(run, *given, **how):
+        return evaluate(run, *(given or (2, 20)), **how)
+
+    monkeypatch.setattr(evaluation, "evaluate_run", few)
 
     def run(command):
         if command == "make train":

@@ -56,11 +56,11 @@ class Popen(subprocess.Popen):
             del words[1]
         if words[:1] != [sys.executable] or words[1:2] == ["-u"]:
             return super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *how)
+        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._server.connect(address())  # before the environment is told, which then has it
         pipes, (session, group) = how[3:9], how[-2:]
         told = {"words": words[1:], "log": log, "cwd": os.path.abspath(cwd or ".")}
         told |= {"env": dict(os.environ if env is None else env), "session": session, "group": group == 0}
-        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._server.connect(address())
         streams = [
             number if given == -1 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))
         ]

@@ -266,7 +266,8 @@ def paid(algorithm, reward, folder, **more):
     are random.
     """
     how = {"n_seeds": 3, "total_frames": 4096, "gamma": 0.0, "max_steps": 10, "reward": reward}
-    how |= {"sac": {"frames_per_update": 8}, "c51": {"frames_per_update": 16}}.get(algorithm, {})
+    every = {"dqn": 8, "sac": 8, "c51": 16}
+    how |= {"frames_per_update": every[algorithm]} if algorithm in every else {}
     found = train(configured(algorithm, **how | more), folder, quiet=True)
     episodes = found.episodes
     parts = [episodes[episodes.frame <= 512], episodes[episodes.frame > found.frames - 1024]]

@@ -45,6 +45,7 @@ def test_a_run_that_was_stopped_before_and_goes_on_keeps_the_same_bits(whole, tm
         assert (tmp_path / name).read_bytes() == (whole.path / name).read_bytes()
 
 
+@pytest.mark.usefixtures("warm")
 def test_workers_keep_the_policies_of_all_seeds(tmp_path):
     config = PPOConfig(**SMALL, total_frames=128, keep_at=[0.5])
     run = train(config, out=tmp_path / "two", quiet=True, processes=2)

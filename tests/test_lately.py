@@ -66,6 +66,7 @@ def test_each_look_is_what_a_slow_loop_counts_over_the_newest_tenth_open_episode
     assert run.meta["lately"] == found[-1].model_dump()
 
 
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("processes", [1, 2])
 def test_a_run_that_was_resumed_ends_with_the_curve_of_one_that_was_not(processes, tmp_path, capfd):
     how = {"quiet": True, "processes": processes}

@@ -80,6 +80,7 @@ def test_the_typical_episode_is_the_median_by_reward():
     assert mine.typical(table[:4]) == (0, 1)  # of 4, 7, 8, 9 the lesser
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_typical_episode_is_recorded_in_the_colour_of_its_run(tmp_path):
     for name, algorithm in (("one", "ppo"), ("other", "ppo"), ("third", "dqn")):
         path = write_policies(

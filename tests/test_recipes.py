@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from uavnav import PolicyError, load_policy
+from uavnav import PolicyError, evaluation, load_policy
 from uavnav.__main__ import main
 from uavnav.algorithms.a2c import A2CConfig
 from uavnav.algorithms.ppo import PPOConfig
@@ -103,16 +103,20 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
 
 
 @pytest.mark.slow
-def test_after_training_it_says_what_to_do_next_in_commands_that_run_as_they_stand(recipe, tmp_path):
+def test_after_training_it_says_what_to_do_next_in_commands_that_run_as_they_stand(
+    recipe, tmp_path, monkeypatch
+):
+    evaluate = evaluation.evaluate_run
+    monkeypatch.setattr(evaluation, "evaluate_run", lambda run, **how: evaluate(run, 2, 20, **how))
     _, out, _ = recipe("a2c", "out=runs/my own", *SHORT["a2c"])
     last = out.splitlines()[-3:]
     assert last[:2] == [
         "watch it:     uavnav play 'runs/my own'",
         "compare it:   uavnav compare 'runs/my own' reactive",
     ]
-    watch, compare, longer = [shlex.split(line.partition(":")[2])[1:] for line in last]
+    watch, beside, longer = [shlex.split(line.partition(":")[2])[1:] for line in last]
     commands.parse(*watch[:1], watch[1:])
-    assert main(compare) == 0
+    assert main(beside) == 0
     assert main([*longer, "evaluate=false"]) == 0
     run = Run(tmp_path / "runs" / "my own")
     config = {"total_frames": 2 * run.config["total_frames"]}

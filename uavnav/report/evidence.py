@@ -33,7 +33,8 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
     found = []
     for claim in EVERY if content.worlds else CLAIMS:
         graded, parts, own = dict.fromkeys(COLUMNS, tables.NOTHING), {}, OPEN
-        grades = content.tables["grades"].query("claim == @claim.number")
+        grades = content.tables["grades"]
+        grades = grades[grades["claim"] == claim.number]
         for place, one in grades.to_dict("index").items():
             column, seeds = one["column"], " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
             counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
@@ -50,8 +51,9 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
-    chosen = f"claim == @claim.number and column == @claim.column and standing == {COUNTS!r}"
-    for place, one in content.tables["verdicts"].query(chosen).iterrows():
+    verdicts = content.tables["verdicts"]
+    chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
+    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].iterrows():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
         return f"{one['text']}: {quotes.link(effect, 'verdicts', int(str(place)))}"
     return "No part that counts has runs."

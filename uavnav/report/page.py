@@ -30,7 +30,7 @@ from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
 from uavnav.report.mine import Mine, files_of
 from uavnav.report.mine import pictures as mine_pictures
-from uavnav.report.quotes import prose
+from uavnav.report.quotes import STUDY, prose
 from uavnav.report.templating import HERE, TEMPLATES, Source, plain, source
 from uavnav.report.templating import page as fill
 from uavnav.report.verdicts import SEEDS
@@ -137,8 +137,7 @@ def contents(
 
 def said(content: Content, root: str = "") -> dict[str, str]:
     """The study's prose by block (`quotes`), empty in the report of other runs."""
-    found = prose(content.tables, root)
-    return found if content.of_the_study else dict.fromkeys(found, "")
+    return prose(content.tables, root) if content.of_the_study else dict.fromkeys(STUDY.blocks, "")
 
 
 def told(content: Content, root: str = "", **more: Any) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,8 +15,13 @@ from uavnav.runs import Run, run_folders
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, MODES
 from uavnav.runs.tables import RunError, read_table
-from uavnav.stats import Array
+from uavnav.stats import Array, Interval
 from uavnav.tasks.protocol import SCRIPTS, TASK_NAMES
+
+
+def named(name: str, found: Interval) -> dict[str, float]:
+    """An interval as the columns of a table."""
+    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
 
 
 class Flight(NamedTuple):
@@ -49,16 +54,12 @@ def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str
             try:
                 run = Run(path, rows=False)
                 who = name(run.algorithm, run.config["activation"])
-                found += [_flight(who, run, rows, rules) for rows in _sampled(run)]
+                for file in run.evaluations():
+                    rows = read_table(file, EVALUATED | {"mode": "object"}, "evaluate the run again")
+                    found.append(_flight(who, run, rows[rows["mode"] == MODES[1]], rules))
             except RunError as error:
                 left_out.append(one_line(error))
     return found, left_out
-
-
-def _sampled(run: Run) -> Iterator[pd.DataFrame]:
-    for path in run.evaluations():
-        rows = read_table(path, EVALUATED | {"mode": "object"}, "evaluate the run again")
-        yield rows[rows["mode"] == MODES[1]]
 
 
 def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:

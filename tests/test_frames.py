@@ -261,14 +261,14 @@ def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_sam
     one, other, both = (found["high"] - found["value"])[[0, 2, 3]]
     assert max(one, other) < both < one + other  # errors of independent seeds add in squares
     assert (found["low"] <= found["value"]).all()
-    shown = tables.listed(found, tables.BY_DEFAULT)
+    shown = tables.listed(found, "by_default")
     assert [row[-1].partition(" [")[0] for row in shown[1:]] == ["40.0", "−20.0", "3.0", "37.0"]
 
 
 def test_without_an_activation_of_both_nothing_is_said_of_tuned():
     found = frames.by_default(NO_STUDIES._replace(tuned=evaluated(ppo_tanh=30, dqn_relu=10)), {})
     assert found["n"].tolist() == [0, 0]
-    assert all(row[1:] == ["", "0", "–"] for row in tables.listed(found, tables.BY_DEFAULT)[1:])
+    assert all(row[1:] == ["", "0", "–"] for row in tables.listed(found, "by_default")[1:])
     unevaluated = frames.by_default(NO_STUDIES._replace(tuned=configurations(ppo_tanh=1, dqn_tanh=2)), {})
     assert unevaluated["value"].isna().all()
 

@@ -14,7 +14,7 @@ from runs_by_hand import LAYOUTS, behaved, found, rows, two, write_run
 from uavnav.cli import commands
 from uavnav.report import _write_all, docs, report
 from uavnav.report.claims import PRIMARY
-from uavnav.report.configurations import BINS, collect, curve
+from uavnav.report.configurations import BINS, collect
 from uavnav.report.content import gather
 from uavnav.report.page import markdown
 from uavnav.report.tables import table
@@ -231,7 +231,7 @@ def test_control_c_is_one_line_and_status_130_and_nothing_is_written(results, tm
     assert main([str(results)]) == 130
     assert capsys.readouterr().err == "uavnav report: stopped; no report was written\n"
     monkeypatch.chdir(tmp_path)
-    Path("README.md").write_text(f"{docs.BEGIN}\n{docs.END}")
+    Path("README.md").write_text("<!-- results -->\n<!-- end of results -->")
     assert docs.main([str(results)]) == 130
     assert capsys.readouterr().err == "uavnav.report.docs: stopped; nothing was written\n"
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "README.md", *before]
@@ -298,7 +298,7 @@ def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_l
     other = (1000, 500, 0, 0, 0, 0, 0.0, False, False)
     write_run(tmp_path / "run", rows(0, first, rest, other), rows(1, other, other), n_envs=2)
     (configuration,), _ = collect([tmp_path])
-    found = curve(configuration)
+    found = configuration.curve
     assert found.index.tolist() == [(place + 0.5) * width for place in range(BINS)]
     assert found[0].tolist() == pytest.approx([30 / 40] + [0.5] * 24)
     assert found[1].tolist() == [0.0] * BINS

@@ -22,6 +22,7 @@ from uavnav.report.content import gather
 from uavnav.report.page import markdown, page
 from uavnav.report.studies import of_paper
 from uavnav.report.tables import (
+    LISTED,
     audit_rows,
     crossed,
     digits,
@@ -38,7 +39,7 @@ from uavnav.runs.tables import RunError
 
 pytestmark = pytest.mark.usefixtures("little_garbage", "undrawn")
 
-BEGIN, END = docs.BEGIN, docs.END
+BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 
 
 @pytest.mark.parametrize(
@@ -63,14 +64,13 @@ def test_an_interval_stands_in_brackets_where_there_is_one():
     assert with_interval(1.0, math.nan, math.nan, 1) == "1.0"
 
 
-def test_a_table_of_a_frame_has_formats_by_header_and_leaves_unknown_intervals_out():
+def test_a_table_of_a_frame_has_formats_by_header_and_leaves_unknown_intervals_out(monkeypatch):
     frame = pd.DataFrame(
         {"who": ["a", "b"], "x": [-1234.5, 0.0004], "low": [-2000.0, math.nan], "p": [0.5, math.nan]}
     )
-    assert listed(
-        frame.assign(high=frame["low"]),
-        {"who": "{who}", "x": "{x:.1f} [{low:.1f}, {high:.1f}]", "p": "{p:.0%}"},
-    ) == [
+    columns = {"who": "{who}", "x": "{x:.1f} [{low:.1f}, {high:.1f}]", "p": "{p:.0%}"}
+    monkeypatch.setitem(LISTED, "mine", columns)
+    assert listed(frame.assign(high=frame["low"]), "mine") == [
         ["who", "x", "p"],
         ["a", "−1,234.5 [−2,000.0, −2,000.0]", "50%"],
         ["b", "0.0004", "–"],
@@ -121,7 +121,7 @@ def judged(content, *verdicts):
         LOG: findings_of("reverses"),
     }
     tables = {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
-    return replace(content, audits=audits, tables=content.tables | tables)
+    return replace(content, tables=content.tables | tables)
 
 
 def test_the_table_of_claims_has_a_grade_a_column_and_a_dash_where_it_cannot_answer(gathered):
@@ -167,10 +167,10 @@ def test_a_row_of_the_audit_has_ours_and_its_ratio_to_the_papers_with_intervals(
         "ratio_high": 0.75,
     }
     part = findings_of("replicates")[0]._replace(**known, n=8, p_holm=0.0123, nearest="A against B")
-    assert audit_rows([part])[1][1:] == [
+    assert audit_rows(pd.DataFrame([part]))[1][1:] == [
         *("4.0", "2.0 [1.0, 3.0] (A against B)", "0.50 [0.25, 0.75]", "0.012", "8", "replicates")
     ]
-    assert audit_rows([part._replace(p_holm=0.0001)])[1][4] == "< 0.001"
+    assert audit_rows(pd.DataFrame([part._replace(p_holm=0.0001)]))[1][4] == "< 0.001"
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_rows_of_how_often_the_rule_errs_and_of_the_papers_numbers_as_one_more_s
 
 def test_results_have_a_row_a_claim_and_the_readmes_block_has_none(gathered):
     content = judged(gathered, "replicates", "absent")
-    text, short = docs.results(content), docs.summary(content)
+    text, short = docs.results(content), docs.block(content, "README.md")
     rows = {claim.number: found(text, str(claim.number), claim.sentence) for claim in CLAIMS}
     assert [len(row) for row in rows.values()] == [1] * len(CLAIMS)
     assert rows[1][0][0].startswith("[replicates](../results/tables/grades.csv#L2) 12/12")
@@ -264,9 +264,8 @@ MEASURED = """
 def test_what_a_million_frames_of_ten_seeds_cost_is_taken_from_the_benchmarks(results):
     assert docs.costs(MEASURED) == {"ppo": ("0:02:44", "1.32"), "sac": ("0:20:00", "3.13")}
     assert docs.costs("") == {}
-    lines = docs.choice(
-        gather([results], lambda configurations: {"configurations": [], "left_out": []}), MEASURED
-    ).splitlines()
+    content = gather([results], lambda configurations: {"configurations": [], "left_out": []})
+    lines = docs.block(content, "docs/algorithms.md", MEASURED).splitlines()
     (ppo,), (c51,) = ([line for line in lines if line.startswith(f"| [{name}]")] for name in ("PPO", "C51"))
     assert " | 0:02:44 | 1.32 | – | – | " in ppo
     assert " | – | – | – | – | " in c51
@@ -293,9 +292,7 @@ def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_
     assert docs.main(["results"]) == 0
     content = gather([Path("results")])
     assert Path("docs/results.md").read_text() == docs.results(content)
-    assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{docs.summary(content)}\n{END}\nrest\n"
-    assert (
-        Path("docs/algorithms.md").read_text()
-        == f"# Title\n{BEGIN}\n{docs.choice(content, MEASURED)}\n{END}\nrest\n"
-    )
+    for where in docs.BLOCKS:
+        new = docs.block(content, where, MEASURED)
+        assert Path(where).read_text() == f"# Title\n{BEGIN}\n{new}\n{END}\nrest\n"
     assert docs.main(["nowhere"]) == 2

@@ -24,7 +24,7 @@ from uavnav import stats
 from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import EVERY
 from uavnav.report.content import gather
-from uavnav.report.docs import BEGIN, END, results, summary
+from uavnav.report.docs import block, results
 from uavnav.report.operating import EQUAL, TABLES, characteristics
 from uavnav.report.page import markdown
 from uavnav.report.studies import of_paper
@@ -32,6 +32,7 @@ from uavnav.runs import Run, paper, read_settings
 from uavnav.runs.definitions import PER_FRAME, per_frame
 
 ROOT = Path(__file__).parent.parent
+BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 RESULTS = ROOT / "results"
 
 
@@ -272,7 +273,7 @@ def test_the_committed_report_is_what_the_rows_give(content):
 def test_the_committed_conclusions_are_what_the_rows_give(content):
     assert from_rows(results(content)) == from_rows((ROOT / "docs" / "results.md").read_text())
     _, _, rest = (ROOT / "README.md").read_text().partition(BEGIN)
-    assert from_rows(rest.partition(END)[0]) == from_rows(summary(content))
+    assert from_rows(rest.partition(END)[0]) == from_rows(block(content, "README.md"))
 
 
 @pytest.mark.slow

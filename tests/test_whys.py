@@ -42,7 +42,7 @@ def test_a_contrast_of_10_seeds_each_has_its_welch_interval_and_questions_withou
     """s = 0.673 in both: 40 -+ 2.101 * 0.673 * sqrt(2 / 10) = 0.632."""
     table = whys.table(evidence({"clip_epsilon=0.05": narrow, "clip_epsilon=None": none}))
     contrast = "PPO with clip_epsilon=0.05 minus with clip_epsilon=None"
-    assert [row[3:] for row in tables.listed(table, tables.WHYS) if row[1] == contrast] == [[shown, "10"]]
+    assert [row[3:] for row in tables.listed(table, "whys") if row[1] == contrast] == [[shown, "10"]]
     assert whys.table(evidence({})).empty
     assert whys.table(evidence({"gamma=0.9": 1.0, "clip_epsilon=0.4": 50.0, "epochs=1": 60.0})).empty
 

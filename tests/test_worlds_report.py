@@ -140,7 +140,7 @@ def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_ra
         ["goal", "PPO tanh fast", "reactive", "a script", ""],
         ["moving", "PPO tanh", "reactive", "neither", ""],
     ]
-    assert tables.listed(found, tables.AHEAD)[1][:5] == [
+    assert tables.listed(found, "leaders")[1][:5] == [
         "drone",
         "PPO tanh",
         "42.00 [40.80, 43.20]",

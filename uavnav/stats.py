@@ -41,6 +41,10 @@ class Interval(NamedTuple):
     n: int
 
 
+NONE = Interval(np.nan, np.nan, np.nan, 0)
+"""Of no seeds."""
+
+
 def interquartile_mean(values: Array, axis: int = -1) -> Any:
     """The mean of the middle half: `scipy.stats.trim_mean` of a quarter, bit for bit, without its checks."""
     values = np.moveaxis(np.asarray(values), axis, -1)
@@ -191,8 +195,10 @@ def rounded(means: Array) -> Array:
     return np.asarray(np.round(means * scale) / scale)
 
 
-def difference(first: Sequence[Array], second: Sequence[Array]) -> Interval:
+def difference(first: Sequence[Array], second: Sequence[Array] = ()) -> Interval:
     """The mean of some configurations' means minus that of others, with Welch's interval; n is the smallest.
+
+    Without a second it is Student's interval of the mean.
 
     first, second: [S] per configuration. With five seeds it covers 95 % (a percentile bootstrap 83 %). The
     interval of equal seeds is their value; NaN where a configuration has fewer than two.

@@ -14,21 +14,21 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from uavnav import stats, style
+from uavnav.report import charts
 from uavnav.report.apart import flights
 from uavnav.report.configurations import one_line
-from uavnav.report.frames import name
+from uavnav.report.frames import NUMBERS, Rows, columns, name
 from uavnav.report.verdicts import ALPHA, SEEDS
 from uavnav.runs import Run
 from uavnav.runs.definitions import per_frame
 from uavnav.runs.tables import RunError
 from uavnav.stats import Array
 
-Table = pd.DataFrame
 STUDY = "activations"
 EQUAL, CARRIED = "activations_equal", "activations_carried"
+ALGORITHMS = ("ppo", "dqn")
 COMPARED = ("relu", "leaky_relu", "tanh", "sigmoid", "silu", "crelu", "rational", "hadamard", "fourier")
 REWARD, FINAL = "reward per 1,000 frames", "reward of a final policy"
 PROBES = {"dormant [share]": "dormant", "saturated [share]": "saturated", "effective rank": "effective_rank"}
@@ -52,7 +52,7 @@ Measured = Mapping[Where, Mapping[str, Array]]
 """By configuration and measure: a number a seed [S]."""
 
 
-def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
+def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """The study's tables by name, none where there is no such study; a line for what cannot be read.
 
     activations: a row a configuration and measure; activations_equal: of `judged`; activations_carried: of
@@ -82,21 +82,16 @@ def _trained(run: Run) -> dict[str, Array]:
     return {REWARD: reward, **{label: late[column].mean().to_numpy() for label, column in known.items()}}
 
 
-def table(measured: Measured) -> Table:
+def table(measured: Measured) -> pd.DataFrame:
     """Means over seeds and their 95 % intervals: a row a configuration and measure."""
     rows = [
         where._asdict()
         | {"configuration": name(where.algorithm, where.activation) + ", LayerNorm" * where.layer_norm}
-        | {"measure": measure, **stats.difference([seeds], [])._asdict()}
-        for where, own in sorted(measured.items(), key=lambda item: _place(item[0]))
-        for measure, seeds in own.items()
+        | {"measure": measure, **stats.difference([seeds])._asdict()}
+        for where in itertools.starmap(Where, itertools.product(ALGORITHMS, (False, True), COMPARED))
+        for measure, seeds in measured.get(where, {}).items()
     ]
     return pd.DataFrame(rows)
-
-
-def _place(where: Where) -> tuple[bool, bool, int]:
-    """PPO first, then without LayerNorm, then in the order of `COMPARED`."""
-    return where.algorithm == "dqn", where.layer_norm, COMPARED.index(where.activation)
 
 
 def _of(measured: Measured, algorithm: str, layer_norm: bool, measure: str) -> list[Array]:
@@ -106,7 +101,8 @@ def _of(measured: Measured, algorithm: str, layer_norm: bool, measure: str) -> l
     return found if min(map(len, found)) >= SEEDS else []
 
 
-def judged(measured: Measured) -> Table:
+@columns("algorithm", "layer_norm", "measure", "margin", "verdict", "best", "worst", *NUMBERS)
+def judged(measured: Measured) -> Rows:
     """Whether the choice of an activation matters: a row an algorithm, measure, and LayerNorm or not.
 
     `irrelevant`: every two activations differ by less than the margin, by two one-sided tests at 5 %.
@@ -114,14 +110,11 @@ def judged(measured: Measured) -> Table:
     `open`, as where an activation is missing. `value` is the largest difference, of `best` and `worst`, with
     its interval over all pairs.
     """
-    rows = []
     for (algorithm, measure), margin in MARGINS.items():
         for layer_norm in (False, True):
             samples = _of(measured, algorithm, layer_norm, measure)
             said = [OPEN, "", "", np.nan, np.nan, np.nan] if not samples else widest(samples, margin)
-            rows.append([algorithm, layer_norm, measure, margin, *said, min(map(len, samples), default=0)])
-    columns = ["algorithm", "layer_norm", "measure", "margin", "verdict", "best", "worst"]
-    return pd.DataFrame(rows, columns=[*columns, "value", "low", "high", "n"])
+            yield [algorithm, layer_norm, measure, margin, *said, min(map(len, samples), default=0)]
 
 
 def widest(samples: Sequence[Array], margin: float) -> list[object]:
@@ -137,33 +130,28 @@ def widest(samples: Sequence[Array], margin: float) -> list[object]:
     return [verdict, best, worst, *(float(one[place]) for one in (found.value, low, high))]
 
 
-def carried(measured: Measured) -> Table:
+@columns("layer_norm", "measure", *NUMBERS)
+def carried(measured: Measured) -> Rows:
     """Whether PPO's order of activations is DQN's: Spearman's correlation of means, a row a measure."""
-    rows = [
-        [layer_norm, measure, *stats.rank_correlation(both[0], both[1])]
-        for layer_norm in (False, True)
-        for measure in (REWARD, FINAL, *PROBES)
-        if all(both := [_of(measured, algorithm, layer_norm, measure) for algorithm in ("ppo", "dqn")])
-    ]
-    return pd.DataFrame(rows, columns=["layer_norm", "measure", "value", "low", "high", "n"])
+    for layer_norm, measure in itertools.product((False, True), (REWARD, FINAL, *PROBES)):
+        first, second = (_of(measured, algorithm, layer_norm, measure) for algorithm in ALGORITHMS)
+        if first and second:
+            yield [layer_norm, measure, *stats.rank_correlation(first, second)]
 
 
 @matplotlib.rc_context(style.STYLE)
-def figure(found: Table, width: float = style.WIDTH) -> style.Drawn:
+def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward per 1,000 frames by activation, a panel an algorithm, with and without LayerNorm."""
     shown = found[found["measure"] == REWARD]
     panels = [*shown.groupby("algorithm", sort=False)]
     looks = {False: ("o", style.INK, "without LayerNorm"), True: ("D", style.CLEAR, "with LayerNorm")}
-    side_by_side = (1, len(panels)) if width >= style.WIDTH else (len(panels), 1)
-    drawn = Figure(figsize=(width, 4.2 * side_by_side[0] + 0.6), layout="constrained")
-    grid = drawn.subplots(*side_by_side, sharey=True, squeeze=False).ravel()
-    said = []
+    wide, said = width >= style.WIDTH, []
+    drawn, grid = charts.panels(len(panels), len(panels) if wide else 1, 4.2, width, sharey=True)
     for axes, (algorithm, panel) in zip(grid, panels, strict=True):
         for layer_norm, part in panel.groupby("layer_norm"):
             marker, colour, _ = looks[bool(layer_norm)]
             rows = part["activation"].map(COMPARED.index) + (0.15 if layer_norm else -0.15)
-            ends = np.abs(part[["low", "high"]].to_numpy().T - part["value"].to_numpy())
-            axes.errorbar(part["value"], rows, xerr=ends, fmt=marker, color=colour, capsize=3)
+            axes.errorbar(part["value"], rows, xerr=charts.errors(part), fmt=marker, color=colour, capsize=3)
             top = part.loc[part["value"].idxmax()]
             best = f"{top['activation']} {style.number(top['value'])}"
             said.append(f"{algorithm.upper()} {looks[bool(layer_norm)][2]}, {best}")

@@ -15,13 +15,12 @@ import pandas as pd
 from uavnav import stats
 from uavnav.report.claims import SURGE
 from uavnav.report.configurations import apart, order, settings_of, show
-from uavnav.report.frames import name
+from uavnav.report.frames import Rows, columns, name
 from uavnav.report.studies import AFTER
 from uavnav.runs import Run, draws, paper
 from uavnav.runs.definitions import last_hundred
 from uavnav.stats import Array
 
-Table = pd.DataFrame
 STUDY, DRAWS = "ambiguities", "draws"
 FOLLOW = {"frames", "layouts", "total_frames"}
 """Settings that follow from others."""
@@ -32,7 +31,7 @@ COLUMNS = ["part", "value", "low", "high", "n", "p_holm", "verdict"]
 AS_PRINTED, NOT, OPEN = "as printed", "not as printed", "open"
 
 
-def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
+def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """The study's tables by name, none where there is no such study; a line for what cannot be read.
 
     draws: all draws, the nearest first, with their settings; ambiguities: the nearest, a row a part.
@@ -43,7 +42,11 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
         if not screened:
             continue
         near, seeds = draws.distances(draws.by_draw(screened)), draws.by_draw(further)
-        settings = pd.DataFrame({number: _settings(own[0]) for number, own in screened.items()}).T
+        chosen = {}
+        for number, (run, *_) in screened.items():
+            own = settings_of(run.config, run.meta, run.frames)
+            chosen[number] = {key: show(value) for key, value in own.items()}
+        settings = pd.DataFrame(chosen).T
         varied = [key for key in settings if settings[key].nunique() > 1 and key not in FOLLOW]
         tables = {DRAWS: settings.loc[near.index, varied].join(near).rename_axis("draw").reset_index()}
         rows = [
@@ -58,11 +61,8 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
     return {}, []
 
 
-def _settings(run: Run) -> dict[str, str]:
-    return {key: show(value) for key, value in settings_of(run.config, run.meta, run.frames).items()}
-
-
-def judged(seeds: draws.Seeds) -> Table:
+@columns(*COLUMNS)
+def judged(seeds: draws.Seeds) -> Rows:
     """How the paper's numbers fit one draw: a row a part, with a verdict.
 
     A configuration's six metrics, as Stable-Baselines3 logs them, as one more seed: Mahalanobis' distance
@@ -72,14 +72,12 @@ def judged(seeds: draws.Seeds) -> Table:
     keys = sorted((key for key in seeds if key in paper.TABLES), key=order)
     printed = {key: np.array([*paper.TABLES[key].values()]) for key in keys}
     p_values = [stats.joint(seeds[key], printed[key])[0] for key in keys]
-    rows = []
     for key, p_holm in zip(keys, stats.holm(p_values), strict=True):
         distance = stats.mahalanobis([seeds[key]], printed[key])[0]
         verdict = OPEN if np.isnan(p_holm) else "rejected" if p_holm < REJECTED else "fits"
-        rows.append([name(*key), distance, np.nan, np.nan, len(seeds[key]), p_holm, verdict])
+        yield [name(*key), distance, np.nan, np.nan, len(seeds[key]), p_holm, verdict]
     reward = paper.COLUMNS.index("reward")
-    rows.append(_order({key[1]: seeds[key][:, reward] for key in keys if key[0] == "ppo"}))
-    return pd.DataFrame(rows, columns=COLUMNS)
+    yield _order({key[1]: seeds[key][:, reward] for key in keys if key[0] == "ppo"})
 
 
 def _order(rewards: dict[str, Array]) -> list[object]:
@@ -94,21 +92,20 @@ def _order(rewards: dict[str, Array]) -> list[object]:
     return [PPO_ORDER, chance, np.nan, np.nan, n, np.nan, verdict]
 
 
-def surges(runs: Sequence[Run]) -> Table:
+@columns(*COLUMNS)
+def surges(runs: Sequence[Run]) -> Rows:
     """The share of the rise in the reward that DQN with sigmoid logs, from the first 300,000 frames to the
     next, that is lost in the last 100,000; as printed where it is more than half.
     """
-    rows = []
     for run in (one for one in runs if (one.algorithm, one.config["activation"]) == SURGING):
         windows = [(0, SURGE[0]), SURGE, (run.frames - AFTER, run.frames)]
         before, surge, after = last_hundred(run.episodes, "reward", windows).dropna().to_numpy().T
         lost = stats.ratio(surge - after, surge - before)
         verdict = AS_PRINTED if lost.low > 0.5 else NOT if lost.high < 0.5 else OPEN
-        rows.append([SURGES, *lost, np.nan, verdict])
-    return pd.DataFrame(rows, columns=COLUMNS)
+        yield [SURGES, *lost, np.nan, verdict]
 
 
-def standing(found: Table) -> pd.Series[str]:
+def standing(found: pd.DataFrame) -> pd.Series[str]:
     """Whether each draw `fits`: the paper's numbers reject none of its configurations, and all of them could
     tell; or is `rejected`, or `open`.
     """

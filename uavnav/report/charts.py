@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from uavnav import stats, style
-from uavnav.report.configurations import Configuration, curve
+from uavnav.report.configurations import Configuration
 from uavnav.runs.definitions import PER_FRAME, words
 from uavnav.stats import Array, Interval
 
@@ -121,6 +121,24 @@ def episodes(
     return style.Drawn(figure, f"{axis}: {'; '.join(said)}.")
 
 
+def panels(
+    count: int, columns: int, height: float, width: float, sharex: bool = False, sharey: bool = False
+) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels, in rows of some columns; height: of a panel; width: of all [inches]."""
+    rows = -(-count // columns)
+    figure = Figure(figsize=(width, height * rows + 0.6), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey).ravel()
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return figure, list(grid[:count])
+
+
+def errors(rows: pd.DataFrame, ends: Sequence[str] = ("low", "high")) -> Array:
+    """The lengths of the intervals of a table's `value` below and above it: [2, rows]; 0 without one."""
+    lengths = np.abs(rows[[*ends]].to_numpy().T - rows["value"].to_numpy())
+    return np.asarray(np.nan_to_num(lengths))
+
+
 FARTHEST = 2.0
 """A forest plot ends at so many times the paper's effect, on both sides."""
 
@@ -189,8 +207,10 @@ def curves(
     figure, axes = style.panel(title, width=width)
     colours, ends = {}, []
     for name, (colour, dashes) in (looks or dict(style.coloured(configurations))).items():
-        line, n = band(curve(configurations[name])), configurations[name].n_seeds
-        _line(axes, line, colour, dashes, f"{name}, n = {n}")
+        line, n = band(configurations[name].curve), configurations[name].n_seeds
+        legend = textwrap.fill(f"{name}, n = {n}", 50)
+        axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=1.8, label=legend)
+        _shade(axes, line, colour)
         if name in printed:
             axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
         beside = f"the paper's mean {style.number(printed[name])}" if name in printed else ""
@@ -280,9 +300,8 @@ def _draws(n: int) -> Array:
     return drawn.astype(np.float64)
 
 
-def _line(axes: Axes, line: pd.DataFrame, colour: str, dashes: str, legend: str, width: float = 1.8) -> None:
-    words = textwrap.fill(legend, 50)
-    axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=width, label=words)
+def _shade(axes: Axes, line: pd.DataFrame, colour: str) -> None:
+    """The interval of a curve, where it is known."""
     known = line["low"].notna()
     if known.any():
         axes.fill_between(

@@ -188,12 +188,9 @@ def _means(text: str, metric: str, up: Keys, down: Keys, sign: int = 1, **more: 
 
 def _pairs(text: str, metric: str, up: Keys, down: Keys, sign: int = 1, every: bool = True) -> Part:
     """Each configuration is above each of the others (sign -1: below), or at least one such pair is."""
-    count = len(up) + len(down)
-    rows = []
-    for first, second in itertools.product(range(len(up)), range(len(up), count)):
-        row = [0.0] * count
-        row[first], row[second] = sign, -sign
-        rows.append(tuple(row))
+    every_one = range(len(up) + len(down))
+    pairs = itertools.product(every_one[: len(up)], every_one[len(up) :])
+    rows = (tuple(float(sign * ((one == a) - (one == b))) for one in every_one) for a, b in pairs)
     return Part(text, _terms([*up, *down], metric), tuple(rows), every)
 
 
@@ -255,14 +252,21 @@ def _dqn_takes_corridors() -> list[Part]:
 
 
 def _penalties_cure() -> list[Part]:
-    questions = {"stops": "stops", "full_stops": "full stops", "turns": "turning"}
-    questions["reversals"] = "reversals of turning per step"
-    parts = []
-    for algorithm, (metric, words) in itertools.product(COMPARED, questions.items()):
-        first, second = ([(algorithm, one, study) for one in PAIR] for study in ("initial", "baseline"))
-        text = f"{words}: {algorithm.upper()} more under the first reward"
-        parts.append(_means(text, metric, first, second))
-    return parts
+    questions = {
+        "stops": "stops",
+        "full_stops": "full stops",
+        "turns": "turning",
+        "reversals": "reversals of turning per step",
+    }
+    return [
+        _means(
+            f"{words}: {algorithm.upper()} more under the first reward",
+            metric,
+            [(algorithm, one, "initial") for one in PAIR],
+            [(algorithm, one, "baseline") for one in PAIR],
+        )
+        for algorithm, (metric, words) in itertools.product(COMPARED, questions.items())
+    ]
 
 
 def at(metric: str, ladder: str, rung: float) -> str:
@@ -295,16 +299,19 @@ def _other_settings() -> list[Part]:
 
 def _density() -> list[Part]:
     falls = "reward: PPO minus DQN falls along the density ladder, policies trained at eight obstacles"
-    eight = "policies trained at eight"
-    parts = [_above(falls, SLOPE, "dqn", "ppo", "drone")]
-    for rung in DENSE:
-        text = f"reward: DQN above PPO at {rung} obstacles, {eight}"
-        parts.append(_above(text, at("reward", "density", rung), "dqn", "ppo", "drone"))
-    beside = [_own_rungs()]
-    for rung in (16, 20):
-        text = f"reward: DQN above PPO where both were trained at {rung} obstacles"
-        beside.append(_above(text, "reward", "dqn", "ppo", RUNGS[rung], beside=True))
-    return [*parts, *beside]
+    eight = {
+        at("reward", "density", rung): f"reward: DQN above PPO at {rung} obstacles, policies trained at eight"
+        for rung in DENSE
+    }
+    own = {
+        RUNGS[rung]: f"reward: DQN above PPO where both were trained at {rung} obstacles" for rung in (16, 20)
+    }
+    return [
+        _above(falls, SLOPE, "dqn", "ppo", "drone"),
+        *(_above(text, metric, "dqn", "ppo", "drone") for metric, text in eight.items()),
+        _own_rungs(),
+        *(_above(text, "reward", "dqn", "ppo", world, beside=True) for world, text in own.items()),
+    ]
 
 
 def _own_rungs() -> Part:
@@ -326,14 +333,24 @@ def slopes(rungs: Sequence[float]) -> Array:
 def _slalom() -> list[Part]:
     """Two independent tests, at the widest narrow gap; what else the same policies do is only shown."""
     worlds = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
-    parts: list[Part] = []
-    for (metric, label), gap, (world, words) in itertools.product(PASSAGES.items(), NARROW, worlds.items()):
-        text = f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}"
-        parts.append(_above(text, at(metric, "slalom", gap), "dqn", "ppo", world, beside=len(parts) > 1))
-    for world, words in worlds.items():
-        text = f"share of episodes that end in a crash: DQN below PPO at gaps of 100 px, trained on {words}"
-        parts.append(_above(text, at(CRASHED, "slalom", 100), "ppo", "dqn", world, beside=True))
-    return parts
+    asked = itertools.product(PASSAGES.items(), NARROW, worlds.items())
+    parts = [
+        _above(
+            f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}",
+            at(metric, "slalom", gap),
+            "dqn",
+            "ppo",
+            world,
+            beside=place > 1,
+        )
+        for place, ((metric, label), gap, (world, words)) in enumerate(asked)
+    ]
+    crashes = "share of episodes that end in a crash: DQN below PPO at gaps of 100 px, trained on"
+    crashed = at(CRASHED, "slalom", 100)
+    return parts + [
+        _above(f"{crashes} {words}", crashed, "ppo", "dqn", world, beside=True)
+        for world, words in worlds.items()
+    ]
 
 
 def _order(world: str, *names: str) -> tuple[Part, ...]:
@@ -351,20 +368,28 @@ def _gradients() -> list[Part]:
     }
     words = {VARIATION: "the less gradient norms vary", SCATTER: "the less seeds scatter"}
     bounded, unbounded = PAIR
-    parts = []
-    for (metric, text), one in itertools.product(questions.items(), FIVE):
-        up, down = [(one, unbounded, ALL_WORLDS)], [(one, bounded, ALL_WORLDS)]
-        parts.append(_means(f"{one.upper()}: {text}, mean over tasks", metric, up, down))
-    for metric, name in EXPLAINS.items():
-        text = (
-            f"{words[metric]}, the more reward: rank correlation across the configurations of a task, "
-            "mean over tasks"
+    rank = "the more reward: rank correlation across the configurations of a task, mean over tasks"
+    less = [
+        _means(
+            f"{one.upper()}: {text}, mean over tasks",
+            metric,
+            [(one, unbounded, ALL_WORLDS)],
+            [(one, bounded, ALL_WORLDS)],
         )
-        for worlds in (ALL_WORLDS, NO_SAC):
-            up, down = [(RANKED, NONE, worlds)], [(RANKED, RANKED, worlds)]
-            without = ", without SAC" * (worlds == NO_SAC)
-            parts.append(_means(text + without, name, up, down, paired=True, beside=worlds == NO_SAC))
-    return parts
+        for (metric, text), one in itertools.product(questions.items(), FIVE)
+    ]
+    explains = [
+        _means(
+            f"{words[metric]}, {rank}" + ", without SAC" * (worlds == NO_SAC),
+            name,
+            [(RANKED, NONE, worlds)],
+            [(RANKED, RANKED, worlds)],
+            paired=True,
+            beside=worlds == NO_SAC,
+        )
+        for (metric, name), worlds in itertools.product(EXPLAINS.items(), (ALL_WORLDS, NO_SAC))
+    ]
+    return less + explains
 
 
 CLAIMS = (

@@ -18,7 +18,8 @@ from rich.table import Table
 from uavnav import stats, style
 from uavnav.errors import did_you_mean
 from uavnav.report import charts, configurations, tables
-from uavnav.report.configurations import Configuration, curve
+from uavnav.report.configurations import Configuration
+from uavnav.report.frames import Rows, columns
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.lately import sparkline
@@ -69,14 +70,11 @@ def contend(names: Sequence[str], activation: str | None = None, shield: bool = 
     first = next(iter(runs), None)
     found = []
     for name in names:
-        rows = _kept(name, protocol, first) if name in SCRIPTS and first is not None else None
-        usual = _place("drone", "eq14", World().model_dump())
-        kept = Contender(name, rows, protocol, usual, None, name) if rows is not None else None
-        found.append(runs.get(name) or kept or fly(name, protocol, activation, first))
-        if shield and name in runs:
-            found.append(_of_run(name, shield=True))
-        elif shield:
-            found.append(fly(name, protocol, activation, first, shield=True))
+        kept = runs.get(name) or _kept(name, protocol, first)
+        found.append(kept or fly(name, protocol, activation, first))
+        if shield:
+            own = _of_run(name, shield=True) if name in runs else None
+            found.append(own or fly(name, protocol, activation, first, shield=True))
     return found
 
 
@@ -98,15 +96,19 @@ def _scripted(run: str | None) -> WrappedTask:
     )
 
 
-def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:
-    """A script's episodes that a folder above a run keeps, as `uavnav evaluate` wrote them; else None."""
-    usual = Protocol().header()
-    path = Path(run) / "config.yaml"
-    if protocol != usual or not path.exists() or read_settings(path).get("task", "drone") != "drone":
+def _kept(name: str, protocol: Mapping[str, Any], run: str | None) -> Contender | None:
+    """A script with episodes that a folder above a run keeps, as `uavnav evaluate` wrote them; else None."""
+    if name not in SCRIPTS or run is None or protocol != Protocol().header():
         return None
-    files = (folder / "baselines" / f"{name}.parquet" for folder in path.absolute().parents)
-    found = next((file for file in files if file.exists()), None)
-    return read_table(found, EVALUATED, "evaluate it again") if found is not None else None
+    path = Path(run) / "config.yaml"
+    if not path.exists() or read_settings(path).get("task", "drone") != "drone":
+        return None
+    for file in (folder / "baselines" / f"{name}.parquet" for folder in path.absolute().parents):
+        if file.exists():
+            rows = read_table(file, EVALUATED, "evaluate it again")
+            place = _place("drone", "eq14", World().model_dump())
+            return Contender(name, rows, protocol, place, None, name)
+    return None
 
 
 def _place(task: str, reward: str, world: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,14 +190,13 @@ def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
     return {one.name: per_seed(one.episodes).join(own(one.episodes)) for one in contenders}
 
 
-def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:
-    """Mean and 95 % interval over seeds of each metric: name, metric, n, mean, low, high."""
-    rows = []
+@columns("name", "metric", "n", "mean", "low", "high")
+def metrics(contenders: Sequence[Contender]) -> Rows:
+    """Mean and 95 % interval over seeds of each metric."""
     for name, table in seeds_of(contenders).items():
         for metric in METRICS:
             found = stats.interval(table[metric].dropna().to_numpy())
-            rows.append((name, metric, found.n, found.value, found.low, found.high))
-    return pd.DataFrame(rows, columns=["name", "metric", "n", "mean", "low", "high"])
+            yield name, metric, found.n, *found[:3]
 
 
 def of_episodes(values: pd.Series, seeds: pd.Series) -> tuple[stats.Interval, str]:
@@ -293,7 +294,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         console.print(told)
     for one in contenders:
         if one.configuration is not None:
-            line = charts.band(curve(one.configuration))["mean"]
+            line = charts.band(one.configuration.curve)["mean"]
             ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
             console.print(
                 f"{one.name}: reward per frame in training {sparkline(line.fillna(0.0).tolist())} {ends}"
@@ -313,12 +314,12 @@ def page(contenders: Sequence[Contender]) -> bytes:
     ]
     recorded = replays.record(shown, n_seeds=1)
     kept = survival(contenders), contenders[0].protocol["max_steps"]
-    figures = {"survival": [charts.survival(*kept, width, looks) for width in WIDTHS]}
+    wide, narrow = (charts.survival(*kept, width, looks) for width in WIDTHS)
+    figures = [templating.Figure("survival", "", wide, "", narrow)]
     if learned:
-        figures["curves"] = [
-            charts.curves(learned, {}, width=width, looks={name: looks[name] for name in learned})
-            for width in WIDTHS
-        ]
+        mine = {name: looks[name] for name in learned}
+        wide, narrow = (charts.curves(learned, {}, width=width, looks=mine) for width in WIDTHS)
+        figures.append(templating.Figure("curves", "", wide, "", narrow))
     page = templating.page(
         "compare.html",
         {},
@@ -333,10 +334,8 @@ def page(contenders: Sequence[Contender]) -> bytes:
             "Reward of a test episode on the same layouts: the difference with its 95 % interval; by"
             " Mann-Whitney, Holm, how probably a seed has more than a seed of another": pairs(contenders),
         },
-        pictures=[
-            (name, drawn[0].alt, [templating.source(one.figure) for one in drawn])
-            for name, drawn in figures.items()
-        ],
+        figures=figures,
+        pictures=templating.pictures(figures),
         recorded=recorded if recorded["configurations"] else None,
         left_out=recorded["left_out"],
     )

@@ -5,6 +5,7 @@ A *configuration* is an algorithm with an activation and all other settings. Fra
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 from collections import Counter
@@ -35,7 +36,6 @@ from uavnav.tasks.world import World
 
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
-CURVE = "curve"
 APART = ("worlds", "longer", "ambiguities", "noise", "activations", "horizon", "learned")
 """Folders, in a report's, of the studies of these names, which modules of their own read."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
@@ -56,7 +56,7 @@ class Configuration:
     runs: list[Run]
     episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
-    # by metric definition; and the `CURVE`
+    # by metric definition
     known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -67,6 +67,12 @@ class Configuration:
     @property
     def n_seeds(self) -> int:
         return sum(len(run.seeds) for run in self.runs)
+
+    @functools.cached_property
+    def curve(self) -> pd.DataFrame:
+        """Reward per frame in each of `BINS` stretches of training (index: its middle) and of each seed."""
+        edges = np.linspace(0, self.settings["frames"], BINS + 1)
+        return windowed(self, [*itertools.pairwise(edges)]).T.set_axis((edges[:-1] + edges[1:]) / 2)
 
 
 def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
@@ -227,30 +233,25 @@ def episodes_of(configuration: Configuration, definition: str) -> pd.DataFrame:
         return finished(configuration.evaluation[configuration.evaluation["mode"] == mode])
     if definition == PER_FRAME:
         return configuration.episodes
-    return (
-        last_episodes(configuration.episodes)
-        if definition == LAST_EPISODES
-        else in_order(configuration.episodes)
-    )
+    ended = last_episodes if definition == LAST_EPISODES else in_order
+    return ended(configuration.episodes)
 
 
 def read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
     """A row a seed and a column a metric, worked out once; no rows without episodes, or an unknown rhythm."""
-    if definition not in configuration.known:
-        configuration.known[definition] = _read_as(
-            configuration, definition, episodes_of(configuration, definition)
-        )
-    return configuration.known[definition]
+    known = configuration.known
+    if definition not in known:
+        known[definition] = _read_as(configuration, definition)
+    return known[definition]
 
 
-def _read_as(configuration: Configuration, definition: str, episodes: pd.DataFrame) -> pd.DataFrame:
-    own = configuration.settings
+def _read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
+    episodes, own = episodes_of(configuration, definition), configuration.settings
     if definition == PER_FRAME:
         return per_frame(episodes, own["frames"])
     if definition == LOG_CURVE:
-        rhythm = (
-            ALGORITHMS[configuration.algorithm].rhythm(own) if configuration.algorithm in ALGORITHMS else None
-        )
+        known = ALGORITHMS.get(configuration.algorithm)
+        rhythm = known.rhythm(own) if known else None
         return log_curve(episodes, own["frames"], *rhythm) if rhythm else per_seed(episodes[:0])
     return per_seed(episodes, ratio_of_means=definition == TOTALS)
 
@@ -260,15 +261,6 @@ def windowed(configuration: Configuration, windows: Sequence[tuple[float, float]
     own = configuration.settings
     at_end = own.get("world.collision_reward", World().collision_reward)
     return within(configuration.episodes, "reward", windows, own["n_envs"], at_end)
-
-
-def curve(configuration: Configuration) -> pd.DataFrame:
-    """Reward per frame in each of `BINS` stretches of training (index: its middle) and of each seed, once."""
-    if CURVE not in configuration.known:
-        edges = np.linspace(0, configuration.settings["frames"], BINS + 1)
-        seeds = windowed(configuration, [*itertools.pairwise(edges)])
-        configuration.known[CURVE] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
-    return configuration.known[CURVE]
 
 
 def show(value: object) -> str:

@@ -29,11 +29,21 @@ from uavnav.report import (
     whys,
     worlds,
 )
-from uavnav.report.claims import CLAIMS, COLUMNS, DISCUSSION, FINAL, OTHER, PRIMARY, asked
+from uavnav.report.claims import (
+    CLAIMS,
+    COLUMNS,
+    DISCUSSION,
+    FINAL,
+    OTHER,
+    PRIMARY,
+    Claim,
+    Evidence,
+    asked,
+)
 from uavnav.report.configurations import Configuration, algorithms, collect, one_line, read_as
-from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
+from uavnav.report.templating import Figure
 from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
 from uavnav.runs import VALUES, Run, paper
@@ -57,10 +67,8 @@ class Content:
 
     configurations: list[Configuration]
     studies: Studies
-    audits: dict[str, list[Finding]]  # by column of `claims.COLUMNS`
     tables: dict[str, pd.DataFrame]  # by the name of their CSV
     figures: list[Figure]
-    narrow: list[Figure]  # the same, for a phone
     replays: dict[str, Any] | None
     baselines: dict[str, pd.DataFrame]
     left_out: list[str]
@@ -83,10 +91,8 @@ class Content:
     @property
     def unasked(self) -> list[int]:
         """The claims of which no run says anything."""
-        found = [finding for findings in self.audits.values() for finding in findings]
-        return [
-            claim.number for claim in CLAIMS if not any(one.n for one in found if one.claim == claim.number)
-        ]
+        known = {*self.tables["verdicts"].query("n > 0")["claim"]}
+        return [claim.number for claim in CLAIMS if claim.number not in known]
 
     @property
     def flown(self) -> dict[str, pd.DataFrame]:
@@ -139,12 +145,19 @@ def gather(
         tuned, winners, untuned = tuning.read(folders, baselines)
         evidence = {one: Rows(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
         tell("judging the claims")
-        audits, errs = {}, []
-        for column, definition in COLUMNS.items():
-            printed = functools.partial(studies.of_paper, definition=definition)
-            audits[column] = audit(evidence[definition], printed, asked(CLAIMS, column))
-            shares = characteristics(evidence[definition], printed, asked(CLAIMS, column))
-            errs.append(shares.assign(column=column))
+        asks: list[tuple[str, Evidence, Evidence, Sequence[Claim]]] = [
+            (column, evidence[one], functools.partial(studies.of_paper, definition=one), CLAIMS)
+            for column, one in COLUMNS.items()
+        ]
+        if of_worlds := worlds.gather(folders):
+            elsewhere = worlds.Evidence(of_worlds.seeds)
+            asks += [(column, elsewhere, studies.of_paper, DISCUSSION) for column in (FINAL, OTHER)]
+            left_out += of_worlds.left_out
+        audits: dict[str, list[Finding]] = {column: [] for column in COLUMNS}
+        errs = []
+        for column, ours, printed, claims in asks:
+            audits[column] += audit(ours, printed, asked(claims, column))
+            errs.append(characteristics(ours, printed, asked(claims, column)).assign(column=column))
         survival, survived = frames.survival(main, baselines)
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
@@ -183,16 +196,9 @@ def gather(
             numbers["fast"] = frames.gaps(dealt.tuned, baselines)
         if len(carried):
             numbers |= {"carried": carried, "further": frames.gaps(studies.further(dealt), baselines)}
-        if of_worlds := worlds.gather(folders):
-            elsewhere = worlds.Evidence(of_worlds.seeds)
-            for column in (FINAL, OTHER):
-                claims = asked(DISCUSSION, column)
-                audits[column] += audit(elsewhere, studies.of_paper, claims)
-                shares = characteristics(elsewhere, studies.of_paper, claims)
-                errs.append(shares.assign(column=column))
+        if of_worlds:
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
-            left_out += of_worlds.left_out
         for study in (longer, ambiguities, noise, activations, horizon, learned):
             own, unread_too = study.gather(folders)
             numbers |= own
@@ -209,10 +215,8 @@ def gather(
     return Content(
         configurations,
         dealt,
-        audits,
         numbers,
-        drawn,
-        narrow,
+        [one._replace(narrow=other.drawn) for one, other in zip(drawn, narrow, strict=True)],
         flown if flown["configurations"] else None,
         baselines,
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
@@ -226,44 +230,41 @@ def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, li
     Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the
     empty arena: the measures there are `empty_...`, the `layout` is -1.
     """
+    measured: Episodes = {}
+    by_layout: Episodes = {}
     tables: Episodes = {}
-    empty: Episodes = {}
-    problems = []
+    problems: list[str] = []
+    world, all_layouts, by = World(), layouts.load("test"), ["mode", "seed"]
+    in_arena = functools.partial(behaviour.read, in_arena=True)
     for study in (*WATCHED, *all_configurations.why):
         for key, configuration in studies.paper_configurations(all_configurations.of(study)).items():
-            place = (study, *key)
-            for found, in_arena in ((tables, False), (empty, True)):
-                if found is tables or (study == "main" and place in tables):
-                    read = functools.partial(behaviour.read, in_arena=in_arena)
-                    rows, lines = _of_runs(configuration, read)
-                    problems += lines
-                    found |= {place: pd.concat(rows, ignore_index=True)} if rows else {}
-    world, all_layouts = World(), layouts.load("test")
-    measured, by_layout = {}, {}
-    for place, table in tables.items():
-        steps = behaviour.of_steps(table, all_layouts, world)
-        measured[place] = behaviour.of_seeds(steps)
-        if place[0] == "main":
-            measured[place] = measured[place].join(behaviour.early(steps), on=["mode", "seed"])
+            if (table := _of_runs(configuration, behaviour.read, problems)) is None:
+                continue
+            place, steps = (study, *key), behaviour.of_steps(table, all_layouts, world)
+            tables[place], measured[place] = table, behaviour.of_seeds(steps)
+            if study != "main":
+                continue
+            measured[place] = measured[place].join(behaviour.early(steps), on=by)
             by_layout[place] = behaviour.by_layout(steps)
-    for place, steps in empty.items():
-        own = behaviour.measures(steps, EMPTY_ARENA, world).set_index(["mode", "seed"]).add_prefix("empty_")
-        measured[place] = measured[place].join(own, on=["mode", "seed"])
-        tables[place] = pd.concat([tables[place], steps.assign(layout=-1)], ignore_index=True)
+            if (empty := _of_runs(configuration, in_arena, problems)) is not None:
+                own = behaviour.measures(empty, EMPTY_ARENA, world).set_index(by).add_prefix("empty_")
+                measured[place] = measured[place].join(own, on=by)
+                tables[place] = pd.concat([table, empty.assign(layout=-1)], ignore_index=True)
     return measured, by_layout, tables, problems
 
 
 def _of_runs(
-    configuration: Configuration, read: Callable[[Run], pd.DataFrame | None]
-) -> tuple[list[pd.DataFrame], list[str]]:
-    """What the runs of a configuration have of a table, and a line for each that could not be read."""
-    found, problems = [], []
+    configuration: Configuration, read: Callable[[Run], pd.DataFrame | None], problems: list[str]
+) -> pd.DataFrame | None:
+    """What the runs of a configuration have of a table; a line for each that could not be read."""
+    found = []
     for run in configuration.runs:
         try:
             found.append(read(run))
         except RunError as error:
             problems.append(one_line(error))
-    return [table for table in found if table is not None], problems
+    there = [table for table in found if table is not None]
+    return pd.concat(there, ignore_index=True) if there else None
 
 
 def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFrame, list[str]]:
@@ -274,11 +275,9 @@ def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFram
         path = run.path / VALUES
         return read_table(path, columns, behaviour.AGAIN) if path.exists() else None
 
-    parts, problems = [], []
+    problems: list[str] = []
+    found = [pd.DataFrame(columns=["configuration", *columns])]
     for key, configuration in configurations.items():
-        found, lines = _of_runs(configuration, read)
-        parts += [table.assign(configuration=frames.name(*key)) for table in found]
-        problems += lines
-    return pd.concat(parts or [pd.DataFrame(columns=["configuration", *columns])], ignore_index=True)[
-        ["configuration", *columns]
-    ], problems
+        if (table := _of_runs(configuration, read, problems)) is not None:
+            found.append(table.assign(configuration=frames.name(*key))[[*found[0].columns]])
+    return pd.concat(found[1:] or found, ignore_index=True), problems

@@ -15,10 +15,15 @@ from uavnav.report.content import Content, gather
 from uavnav.report.page import render
 from uavnav.runs.tables import RunError
 
-BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 TEN, TIME, MEMORY = "uavnav, 10 seeds", "1 M frames", "peak [GB]"
 """A row and two columns of the tables in docs/benchmarks.md."""
-PAGES = "docs/results.md", "docs/algorithms.md", "docs/benchmarks.md", "docs/learned-or-classical.md"
+RESULTS, BENCHMARKS = "docs/results.md", "docs/benchmarks.md"
+BLOCKS = {
+    "README.md": ("summary.md", "results/"),
+    "docs/algorithms.md": ("choice.md", ""),
+    "docs/learned-or-classical.md": ("learned.md", "../results/"),
+}
+"""Pages with a block of results: its template, and the folder of the tables that it links to."""
 
 
 def results(content: Content) -> str:
@@ -26,19 +31,10 @@ def results(content: Content) -> str:
     return render("results.md", content, root="../results/").strip() + "\n"
 
 
-def summary(content: Content) -> str:
-    """The README's findings, and the rewards in the paper, in training and on unseen layouts."""
-    return render("summary.md", content, root="results/").strip()
-
-
-def choice(content: Content, benchmarks: str) -> str:
-    """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which has the costs."""
-    return render("choice.md", content, costs=costs(benchmarks)).strip()
-
-
-def classical(content: Content) -> str:
-    """The results in docs/learned-or-classical.md."""
-    return render("learned.md", content, root="../results/").strip()
+def block(content: Content, page: str, benchmarks: str = "") -> str:
+    """The results in a page of `BLOCKS`; benchmarks: the text of `BENCHMARKS`, which has the costs."""
+    template, root = BLOCKS[page]
+    return render(template, content, root, costs=costs(benchmarks)).strip()
 
 
 def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
@@ -78,21 +74,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     try:
         content = gather([Path(arguments.folder)])
-        readme, page, chosen, measured, flown = map(Path, ("README.md", *PAGES))
-        texts = {page: results(content)}
-        texts[readme] = between_marks(readme.read_text(), summary(content))
-        block = choice(content, measured.read_text() if measured.exists() else "")
-        texts[chosen] = between_marks(chosen.read_text(), block, str(chosen))
-        texts[flown] = between_marks(flown.read_text(), classical(content), str(flown))
-        for path, text in texts.items():
-            files.write(path, text.encode())
+        measured, texts = Path(BENCHMARKS), {RESULTS: results(content)}
+        benchmarks = measured.read_text() if measured.exists() else ""
+        for page in BLOCKS:
+            texts[page] = between_marks(Path(page).read_text(), block(content, page, benchmarks), page)
+        for page, text in texts.items():
+            files.write(Path(page), text.encode())
     except (RunError, OSError) as error:
         print(f"uavnav.report.docs: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("uavnav.report.docs: stopped; nothing was written", file=sys.stderr)
         return 130
-    print(f"wrote {page} and the blocks of results in {readme}, {chosen} and {flown}")
+    print(f"wrote {RESULTS} and the blocks of results in {', '.join(BLOCKS)}")
     return 0
 
 

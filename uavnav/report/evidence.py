@@ -11,7 +11,7 @@ from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import COUNTS, OPEN, of_claim
+from uavnav.report.verdicts import COUNTS, OPEN
 
 
 class Row(NamedTuple):
@@ -40,7 +40,8 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
             counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
             grade = quotes.link(one["grade"], "grades", int(str(place)))
             graded[column] = f"{grade}{counts}, n\u00a0=\u00a0{seeds}"
-            parts[column] = tables.audit_rows(of_claim(content.audits[column], claim.number))
+            judged = content.tables["verdicts"].query("claim == @claim.number and column == @column")
+            parts[column] = tables.audit_rows(judged)
             own = one["grade"] if column == claim.column else own
         said = prose[f"claim_{claim.number}"] or _generic(claim, content, quotes)
         in_order = {column: parts[column] for column in COLUMNS if column in parts}

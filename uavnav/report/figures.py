@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,13 +14,13 @@ from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
 from uavnav.report.frames import LIMIT, RULE, least_to_most, name
 from uavnav.report.studies import Configurations
+from uavnav.report.templating import Figure
 from uavnav.report.verdicts import COUNTS
 from uavnav.report.worlds import Worlds
 from uavnav.runs import paper
 from uavnav.runs.definitions import PER_FRAME, SAMPLED, words
 from uavnav.runs.metrics import MODES
 from uavnav.stats import Array, Interval
-from uavnav.style import Drawn
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 
@@ -29,14 +28,17 @@ SHOWN_LAYOUTS = (0, 1, 2)
 SHOWN_ACTIVATION = "tanh"
 """Trajectories show these; the replays show all."""
 
-
-class Figure(NamedTuple):
-    """A figure, where it belongs, and what the reader should see in it."""
-
-    name: str  # of its files
-    section: str
-    drawn: Drawn
-    caption: str
+FURTHER = {
+    longer: "Does longer training pay? Reward on test layouts, sampled, at most 10,000 steps: means and"
+    " 95 % intervals over seeds. Dashed: the scripted policy.",
+    activations: "Which activation? Reward per 1,000 frames of training: means and 95 % intervals over"
+    " seeds.",
+    horizon: "Does a longer horizon pay? Reward on test layouts, sampled, by frames of training: means"
+    " and 95 % intervals over seeds. Dashed: the scripted policy.",
+    learned: "Learned or classical? Reward on test layouts: of PPO's `best` sampled, the mean and 95 %"
+    " interval over seeds; of scripted policies one number, of `random` ten seeds.",
+}
+"""Captions of further studies."""
 
 
 def draw(
@@ -68,30 +70,9 @@ def draw(
             " 95 % intervals over seeds. Dotted and dashed: scripts."
         )
         found.append(Figure("worlds-density", "worlds", density, caption))
-    if longer.STUDY in numbers:
-        caption = (
-            "Does longer training pay? Reward on test layouts, sampled, at most 10,000 steps: means and 95 % "
-            "intervals over seeds. Dashed: the scripted policy."
-        )
-        found.append(Figure("longer", "longer", longer.figure(numbers[longer.STUDY], width), caption))
-    if activations.STUDY in numbers:
-        caption = (
-            "Which activation? Reward per 1,000 frames of training: means and 95 % intervals over seeds."
-        )
-        own = activations.figure(numbers[activations.STUDY], width)
-        found.append(Figure("activations", "activations", own, caption))
-    if horizon.STUDY in numbers:
-        caption = (
-            "Does a longer horizon pay? Reward on test layouts, sampled, by frames of training: means and "
-            "95 % intervals over seeds. Dashed: the scripted policy."
-        )
-        found.append(Figure("horizon", "horizon", horizon.figure(numbers[horizon.STUDY], width), caption))
-    if learned.STUDY in numbers:
-        caption = (
-            "Learned or classical? Reward on test layouts: of PPO's `best` sampled, the mean and 95 % "
-            "interval over seeds; of scripted policies one number, of `random` ten seeds."
-        )
-        found.append(Figure("learned", "learned", learned.figure(numbers[learned.STUDY], width), caption))
+    for one, caption in FURTHER.items():
+        if one.STUDY in numbers:
+            found.append(Figure(one.STUDY, one.STUDY, one.figure(numbers[one.STUDY], width), caption))
     return found
 
 

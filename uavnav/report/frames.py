@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,6 @@ from uavnav.report.configurations import (
     Configuration,
     Key,
     algorithms,
-    curve,
     episodes_of,
     order,
     read_as,
@@ -81,44 +80,59 @@ AS_DECIDED = "default"
 """The switch that changes nothing."""
 
 
+Arguments = ParamSpec("Arguments")
+Rows = Iterator[Sequence[Any]]
+
+
+def columns(*names: str) -> Callable[[Callable[Arguments, Rows]], Callable[Arguments, pd.DataFrame]]:
+    """Let a function that yields rows return a frame of them with these columns."""
+
+    def of(rows: Callable[Arguments, Rows]) -> Callable[Arguments, pd.DataFrame]:
+        @functools.wraps(rows)
+        def table(*args: Arguments.args, **kwargs: Arguments.kwargs) -> pd.DataFrame:
+            return pd.DataFrame([*rows(*args, **kwargs)], columns=[*names])
+
+        return table
+
+    return of
+
+
 def name(algorithm: str, activation: str) -> str:
     """A configuration, in words."""
     return f"{algorithm.upper()} {activation}"
 
 
-def of_seeds(configuration: Configuration, definition: str, metric: str = "reward") -> stats.Array:
-    """A metric of a configuration in one metric definition: a number a seed [S]."""
-    return read_as(configuration, definition)[metric].dropna().to_numpy()
+def of_seeds(configuration: Configuration, definition: str) -> stats.Array:
+    """The reward of a configuration in one metric definition: a number a seed [S]."""
+    return read_as(configuration, definition)["reward"].dropna().to_numpy()
 
 
 def per_seed_values(configurations: Configurations) -> pd.DataFrame:
     """Columns algorithm, activation, definition, metric, seed, value."""
-    parts = []
-    for (algorithm, activation), configuration in configurations.items():
-        for definition in DEFINITIONS:
-            table = read_as(configuration, definition)
-            seeds = np.tile(table.index.to_numpy(), table.shape[1])
-            metrics = np.repeat(table.columns.to_numpy(), len(table))
-            where = (np.full(table.size, one, dtype=object) for one in (algorithm, activation, definition))
-            parts.append([*where, metrics, seeds, table.to_numpy().T.ravel()])
-    columns = ["algorithm", "activation", "definition", "metric", "seed", "value"]
-    joined = map(np.concatenate, zip(*parts, strict=True))
-    return pd.DataFrame(dict(zip(columns, joined, strict=True)) if parts else None, columns=columns)
+    names = ["algorithm", "activation", "definition", "metric", "seed", "value"]
+    parts = {
+        (*key, definition): table.melt(var_name="metric", ignore_index=False)
+        for (key, one), definition in itertools.product(configurations.items(), DEFINITIONS)
+        if len(table := read_as(one, definition))
+    }
+    if not parts:
+        return pd.DataFrame(columns=names)
+    return pd.concat(parts, names=[*names[:3], "seed"]).reset_index()[names]
 
 
-def estimates(values: pd.DataFrame) -> pd.DataFrame:
+@columns(
+    *("algorithm", "activation", "definition", "metric", "n", "mean", "low", "high"),
+    *("interquartile_mean", "iqm_low", "iqm_high", "paper"),
+)
+def estimates(values: pd.DataFrame) -> Rows:
     """Mean and interquartile mean over seeds, with 95 % intervals, and the paper's number."""
-    rows = []
-    keys = ["algorithm", "activation", "definition"]
-    numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
-    for key, part in values.groupby(keys, sort=False):
+    for key, part in values.groupby(["algorithm", "activation", "definition"], sort=False):
         algorithm, activation, definition = map(str, key)
         seeds = dict(iter(part.groupby("metric", sort=False)["value"]))
         found = _intervals(tuple(own.to_numpy(np.float64).tobytes() for own in seeds.values()))
         for metric, (mean, middle) in zip(map(str, seeds), found, strict=True):
             printed = paper.printed(algorithm, activation, metric, definition == PER_FRAME)
-            rows.append([*key, metric, mean.n, *mean[:3], *middle[:3], printed])
-    return pd.DataFrame(rows, columns=[*keys, "metric", *numbers])
+            yield [*key, metric, mean.n, *mean[:3], *middle[:3], printed]
 
 
 @functools.lru_cache(maxsize=8192)
@@ -127,34 +141,31 @@ def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 
-def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
+@columns(*Finding._fields, "column")
+def verdicts(audits: Mapping[str, Sequence[Finding]]) -> Rows:
     """Every part of every claim in every column of `claims.COLUMNS`."""
-    rows = [(*finding, column) for column, findings in audits.items() for finding in findings]
-    return pd.DataFrame(rows, columns=[*Finding._fields, "column"])
-
-
-def grades(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """Columns claim, column, grade, replicating, counting (parts), least and most seeds of a part."""
-    rows = []
     for column, findings in audits.items():
-        for number in dict.fromkeys(one.claim for one in findings):
-            mine = of_claim(findings, number)
-            judged = [one for one in mine if one.standing == COUNTS and one.n] or mine
-            if seeds := [one.n for one in judged if one.n]:
-                rows.append([number, column, *grade(mine), min(seeds), max(seeds)])
-    columns = ["claim", "column", "grade", "replicating", "counting", "least", "most"]
-    return pd.DataFrame(rows, columns=columns).sort_values("claim", kind="stable", ignore_index=True)
+        yield from ((*finding, column) for finding in findings)
 
 
-def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
+@columns("claim", "column", "grade", "replicating", "counting", "least", "most")
+def grades(audits: Mapping[str, Sequence[Finding]]) -> Rows:
+    """The grade of each claim in each column, its parts that replicate and that count, and their seeds."""
+    numbers = sorted({one.claim for findings in audits.values() for one in findings})
+    for number, (column, findings) in itertools.product(numbers, audits.items()):
+        mine = of_claim(findings, number)
+        judged = [one for one in mine if one.standing == COUNTS and one.n] or mine
+        if seeds := [one.n for one in judged if one.n]:
+            yield [number, column, *grade(mine), min(seeds), max(seeds)]
+
+
+@columns("algorithm", "activation", "metric", "definition", "paper", *stats.Prediction._fields)
+def predictions(evidence: Mapping[str, Evidence]) -> Rows:
     """Each of the paper's numbers among our seeds (`stats.prediction`); evidence: by metric definition."""
-    rows = []
     for definition, key, metric in itertools.product(evidence, paper.TABLES, paper.COLUMNS):
         number = paper.printed(*key, metric, definition == PER_FRAME)
         found = stats.prediction(evidence[definition](*key, metric), number)
-        rows.append([*key, metric, definition, number, *found])
-    columns = ["algorithm", "activation", "metric", "definition", "paper", *stats.Prediction._fields]
-    return pd.DataFrame(rows, columns=columns)
+        yield [*key, metric, definition, number, *found]
 
 
 def improvement(configurations: Configurations) -> pd.DataFrame:
@@ -162,15 +173,14 @@ def improvement(configurations: Configurations) -> pd.DataFrame:
     return stats.improvement({name(*key): of_seeds(one, PRIMARY) for key, one in configurations.items()})
 
 
-def interactions(values: pd.DataFrame) -> pd.DataFrame:
+@columns("definition", "metric", *stats.Interaction._fields)
+def interactions(values: pd.DataFrame) -> Rows:
     """Whether activations change places between the paper's algorithms (`stats.interaction`)."""
-    rows = []
     of_paper = [key in paper.TABLES for key in zip(values["algorithm"], values["activation"], strict=True)]
     known = values[np.array(of_paper, bool)].dropna()  # an empty list would name no columns
     for definition, metric in itertools.product((PRIMARY, SAMPLED), ("reward", "steps", "distance")):
         own = known[(known["definition"] == definition) & (known["metric"] == metric)]
-        rows.append([definition, metric, *stats.interaction(own[["algorithm", "activation", "value"]])])
-    return pd.DataFrame(rows, columns=["definition", "metric", *stats.Interaction._fields])
+        yield [definition, metric, *stats.interaction(own[["algorithm", "activation", "value"]])]
 
 
 def survival(
@@ -193,16 +203,15 @@ def survival(
     return curves, pd.DataFrame(rows, columns=columns)
 
 
-def power(configurations: Configurations) -> pd.DataFrame:
+@columns("pair", "n", "seeds")
+def power(configurations: Configurations) -> Rows:
     """Seeds that find the paper's difference in reward of two activations: 80 % power at 5 %."""
-    rows = []
     known = {key: of_seeds(one, PRIMARY) for key, one in paper_configurations(configurations).items()}
     for a, b in itertools.combinations(sorted(known, key=order), 2):
         if a[0] == b[0]:
             first, second = (paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in (a, b))
             needed = stats.seeds_needed(known[a], known[b], first - second)
-            rows.append([f"{a[0].upper()}: {a[1]} and {b[1]}", min(len(known[a]), len(known[b])), needed])
-    return pd.DataFrame(rows, columns=["pair", "n", "seeds"])
+            yield [f"{a[0].upper()}: {a[1]} and {b[1]}", min(len(known[a]), len(known[b])), needed]
 
 
 def flown(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
@@ -216,16 +225,15 @@ def flown(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
 
 
-def diagnostics(configurations: Configurations) -> pd.DataFrame:
+@columns("configuration", "diagnostic", "n", "value", "low", "high")
+def diagnostics(configurations: Configurations) -> Rows:
     """The last tenth of training: mean over seeds and its interval of each diagnostic."""
-    rows = []
     for key, configuration in configurations.items():
         progress = pd.concat([run.progress for run in configuration.runs], ignore_index=True)
         late = progress[progress["frame"] > 0.9 * configuration.settings["frames"]]
         for column in (one for one in DIAGNOSTICS if one in late):
             *mean, n = stats.interval(late.groupby("seed")[column].mean())
-            rows.append([name(*key), column, n, *mean])
-    return pd.DataFrame(rows, columns=["configuration", "diagnostic", "n", "value", "low", "high"])
+            yield [name(*key), column, n, *mean]
 
 
 # -- differences of configurations ---------------------------------------------------------------------------
@@ -263,21 +271,20 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
     return table.assign(flips=np.select([alone, same, clear], ["", "no", "yes"], "sign").astype(object))
 
 
-def effects(studies: Studies) -> pd.DataFrame:
-    """What a setting changes in an algorithm's reward per frame: switch, algorithm, frames, `NUMBERS`.
+@columns("switch", "algorithm", "frames", *NUMBERS)
+def effects(studies: Studies) -> Rows:
+    """What a setting changes in an algorithm's reward per frame.
 
     The mean over the activations that both have, minus that as decided; many environments minus one. frames:
     a seed.
     """
     pairs = [(switch, changed, studies.baseline) for switch, changed in studies.switches.items()]
     pairs.append((VECTORISED, paper_configurations(studies.vectorised), paper_configurations(studies.main)))
-    rows = []
     for switch, changed, usual in pairs:
         for algorithm, keys in _shared(changed, usual):
             samples = [of_seeds(one[key], PRIMARY) for one in (changed, usual) for key in keys]
             frames = max(changed[key].settings["frames"] for key in keys)
-            rows.append([switch, algorithm, frames, *_halves(samples)])
-    return pd.DataFrame(rows, columns=["switch", "algorithm", "frames", *NUMBERS])
+            yield [switch, algorithm, frames, *_halves(samples)]
 
 
 def _shared(first: Configurations, second: Configurations) -> Iterable[tuple[str, list[Key]]]:
@@ -287,8 +294,9 @@ def _shared(first: Configurations, second: Configurations) -> Iterable[tuple[str
         yield algorithm, [key for key in shared if key[0] == algorithm]
 
 
-def one_against_many(studies: Studies) -> pd.DataFrame:
-    """One environment per seed against many, in more than the mean: measure, algorithm, and `NUMBERS`.
+@columns("measure", "algorithm", *NUMBERS)
+def one_against_many(studies: Studies) -> Rows:
+    """One environment per seed against many, in more than the mean.
 
     One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
 
@@ -309,17 +317,16 @@ def one_against_many(studies: Studies) -> pd.DataFrame:
         return {"scatter": stats.deviations(late.to_numpy()), **of_open}
 
     one, many = paper_configurations(studies.main), paper_configurations(studies.vectorised)
-    rows = []
     for algorithm, keys in _shared(one, many):
         both = [measured(found[key]) for found in (one, many) for key in keys]
-        rows += [[measure, algorithm, *_halves([own[measure] for own in both])] for measure in both[0]]
+        yield from ([measure, algorithm, *_halves([own[measure] for own in both])] for measure in both[0])
         first, second = ([of_seeds(found[key], PRIMARY) for key in keys] for found in (one, many))
-        rows.append(["order", algorithm, *stats.rank_correlation(first, second)])
-    return pd.DataFrame(rows, columns=["measure", "algorithm", *NUMBERS])
+        yield ["order", algorithm, *stats.rank_correlation(first, second)]
 
 
-def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
-    """PPO's reward minus DQN's with other settings and in the main study: settings, activations, `NUMBERS`.
+@columns("settings", "activations", *NUMBERS)
+def by_default(studies: Studies, winners: Configurations) -> Rows:
+    """PPO's reward minus DQN's with other settings and in the main study.
 
     The first two rows are of the activations that both algorithms have with the preset `fast`. winners: of
     trials; a row each for them, and for the lead with the preset minus theirs.
@@ -333,16 +340,15 @@ def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
         return [of_seeds(found[key], SAMPLED) if key in found else np.empty(0) for key in keys]
 
     fast, searched = flown(studies.tuned, shared), flown(winners, ["tanh"])
-    rows = [[f"preset {claims.FAST}", words, *_halves(fast)]]
-    rows.append(["main study", words, *_halves(flown(studies.main, shared))])
+    yield [f"preset {claims.FAST}", words, *_halves(fast)]
+    yield ["main study", words, *_halves(flown(studies.main, shared))]
     if shared and min(map(len, [*fast, *searched])) > 1:
-        rows.append([claims.TUNED, "tanh", *_halves(searched)])
+        yield [claims.TUNED, "tanh", *_halves(searched)]
         weights = np.concatenate([[1, -1], [-1, 1]]).repeat([len(shared), len(shared), 1, 1])
         found = stats.welch([*fast, *searched], (weights / [*[len(shared)] * len(fast), 1, 1])[None])
         ends = (found.value, found.lower(stats.TAILS[0]), found.upper(stats.TAILS[0]))
         numbers = *(float(one[0]) for one in ends), min(map(len, fast))
-        rows.append([f"preset {claims.FAST} − {claims.TUNED}", words, *numbers])
-    return pd.DataFrame(rows, columns=["settings", "activations", *NUMBERS])
+        yield [f"preset {claims.FAST} − {claims.TUNED}", words, *numbers]
 
 
 def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
@@ -365,13 +371,13 @@ def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
 # -- the paper's numbers, and what scripts reach -------------------------------------------------------------
 
 
-def one_run(values: pd.DataFrame) -> pd.DataFrame:
+@columns("algorithm", "definition", "what", "share", "n")
+def one_run(values: pd.DataFrame) -> Rows:
     """What one run a configuration, as the paper has, would say of reward: how often an activation would be
     the best of its algorithm, and how often all would stand in the paper's order.
 
-    Columns algorithm, definition, what, share, n; values: as `per_seed_values` gives them.
+    values: as `per_seed_values` gives them.
     """
-    rows = []
     chosen = values[(values["metric"] == "reward") & values["activation"].isin(paper.ACTIVATIONS)]
     chosen = chosen[chosen["definition"].isin(claims.COLUMNS.values())]
     for (algorithm, definition), part in chosen.groupby(["algorithm", "definition"], sort=False):
@@ -384,42 +390,39 @@ def one_run(values: pd.DataFrame) -> pd.DataFrame:
         in_order = sorted(seeds, key=lambda one: -printed[one])
         shares = {f"{one} is best": stats.chance_of_best(seeds, one) for one in in_order}
         shares["the paper's order"] = stats.chance_of_order([seeds[one] for one in in_order])
-        rows += [[algorithm, definition, what, share, n] for what, share in shares.items()]
-    return pd.DataFrame(rows, columns=["algorithm", "definition", "what", "share", "n"])
+        yield from ([algorithm, definition, what, share, n] for what, share in shares.items())
 
 
-def peaks(configurations: Configurations, log: Evidence) -> pd.DataFrame:
-    """When a configuration earns most per frame, and what it loses after 600,000 frames: columns
-    configuration, measure, and `NUMBERS`.
+@columns("configuration", "measure", *NUMBERS)
+def peaks(configurations: Configurations, log: Evidence) -> Rows:
+    """When a configuration earns most per frame, and what it loses after 600,000 frames.
 
     `peak` is the middle of each seed's best stretch of training [frames]; `lost` the share of the rise in
     reward per frame, from the first 300,000 frames to the next, that is gone in the last 100,000 (Fieller's
     interval). The same by SB3's log (reward per episode), its means in these stretches, and how many seeds
     lose more than half. log: the evidence of that definition.
     """
-    rows: list[list[Any]] = []
     for key, configuration in configurations.items():
         frames = configuration.settings["frames"]
         if frames < SURGE[1] + AFTER:
             continue
-        best = curve(configuration).round(9).idxmax()  # of equal ones the first
+        best = configuration.curve.round(9).idxmax()  # of equal ones the first
         windows = [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
         before, surge, after = windowed(configuration, windows).to_numpy().T
         logged = {when: log(*key, f"reward_{when}") for when in ("before", "surge", "after")}
-        found = {"peak": stats.difference([np.asarray(best, dtype=np.float64)], [])}
+        found = {"peak": stats.difference([np.asarray(best, dtype=np.float64)])}
         found["lost"] = stats.ratio(surge - after, surge - before)
-        found |= {f"{when}, {SB3}": stats.difference([one], []) for when, one in logged.items()}
+        found |= {f"{when}, {SB3}": stats.difference([one]) for when, one in logged.items()}
         before, surge, after = logged.values()
         found[f"lost, {SB3}"] = stats.ratio(surge - after, surge - before)
         halved = int((surge - after > (surge - before) / 2).sum())
         found[f"seeds that lose half, {SB3}"] = stats.Interval(halved, np.nan, np.nan, len(after))
-        rows += [[name(*key), measure, *one] for measure, one in found.items()]
-    return pd.DataFrame(rows, columns=["configuration", "measure", *NUMBERS])
+        yield from ([name(*key), measure, *one] for measure, one in found.items())
 
 
-def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.DataFrame:
-    """How well the paper's numbers fit our prediction intervals: columns definition, configuration, within,
-    numbers, score, p, farther.
+@columns("definition", "configuration", "within", "numbers", "score", "p", "farther")
+def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> Rows:
+    """How well the paper's numbers fit our prediction intervals.
 
     Of so many numbers, so many are within. A wide interval contains any number, so the score of a 95 %
     interval (Gneiting and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the
@@ -433,7 +436,6 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.Data
     low, high, number = (known[column] for column in ("low", "high", "paper"))
     missed = (low - number).clip(lower=0) + (number - high).clip(lower=0)
     known = known.assign(score=(high - low + 2 / 0.05 * missed) / number.abs())
-    counted: list[list[Any]] = []
     for definition, own in known.groupby("definition", sort=False):
         groups: list[tuple[Any, pd.DataFrame]] = [((), own)]
         for key, part in [*groups, *own.groupby(["algorithm", "activation"], sort=False)]:
@@ -442,14 +444,15 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.Data
             as_one = len({*map(len, seeds)}) == 1
             joint = stats.joint(np.stack(seeds, 1), part["paper"].to_numpy()) if as_one else [np.nan] * 2
             facts = int(part["within"].sum()), len(part), part["score"].mean()
-            counted.append([definition, name(*key) if key else EVERY, *facts, *joint])
-    columns = ["definition", "configuration", "within", "numbers", "score", "p", "farther"]
-    return pd.DataFrame(counted, columns=columns)
+            yield [definition, name(*key) if key else EVERY, *facts, *joint]
 
 
-def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Reward of test episodes, and its gap to the rule's on the same layouts: columns who, mode, limit, n and
-    more.
+@columns(
+    *("who", "algorithm", "mode", "limit", "n", "episodes", "up", "reward", "low", "high"),
+    *("per_frame", "gap", "gap_low", "gap_high", "above"),
+)
+def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -> Rows:
+    """Reward of test episodes, and its gap to the rule's on the same layouts.
 
     `up` is the share of episodes that the time limit [steps] ended, `above` the share of seeds above the
     rule. A gap is a mean over seeds of each seed's mean over layouts, with Student's 95 % interval over
@@ -462,20 +465,17 @@ def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -
         for definition, (key, one) in itertools.product(EVALUATIONS, configurations.items())
     ]
     rule = finished(scripted[RULE]) if RULE in scripted else pd.DataFrame()
-    rows = []
     for who, algorithm, mode, table in known:
         ended = finished(table)
         if ended.empty:
             continue
         by_seed = ended.groupby("seed")
-        reward = stats.difference([by_seed["reward"].mean().to_numpy()], [])
+        reward = stats.difference([by_seed["reward"].mean().to_numpy()])
         per_frame = (by_seed["reward"].sum() / by_seed["steps"].sum()).mean()
         own = np.empty(0) if who == RULE else to_rule(ended, rule)
-        gap = stats.difference([own], [])[:3], float((own > 0).mean()) if len(own) else np.nan
+        gap = stats.difference([own])[:3], float((own > 0).mean()) if len(own) else np.nan
         facts = _limit(ended), reward.n, len(ended), ended["truncated"].mean()
-        rows.append([who, algorithm, mode, *facts, *reward[:3], per_frame, *gap[0], gap[1]])
-    columns = ["who", "algorithm", "mode", "limit", "n", "episodes", "up", "reward", "low", "high"]
-    return pd.DataFrame(rows, columns=[*columns, "per_frame", "gap", "gap_low", "gap_high", "above"])
+        yield [who, algorithm, mode, *facts, *reward[:3], per_frame, *gap[0], gap[1]]
 
 
 def _limit(episodes: pd.DataFrame) -> float:
@@ -515,27 +515,24 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
 # -- how large and how fast ----------------------------------------------------------------------------------
 
 
-def speed(configurations: Configurations) -> pd.DataFrame:
-    """Wall time of a million frames of one seed, by run: columns configuration, seconds, seeds, machine."""
-    rows = []
+@columns("configuration", "seconds", "seeds", "machine")
+def speed(configurations: Configurations) -> Rows:
+    """Wall time of a million frames of one seed, by run."""
     for key, configuration in configurations.items():
         for run, took in zip(timed(configuration), hours(configuration), strict=True):
             machine = run.meta.get("machine", {})
             processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
-            rows.append([name(*key), 3600 * took, len(run.seeds), processor])
-    return pd.DataFrame(rows, columns=["configuration", "seconds", "seeds", "machine"])
+            yield [name(*key), 3600 * took, len(run.seeds), processor]
 
 
-def sizes(studies: Studies) -> pd.DataFrame:
-    """How large each study is: study, algorithm, activation, seeds, and a seed's frames and environments."""
+@columns("study", "algorithm", "activation", "seeds", "frames", "worlds")
+def sizes(studies: Studies) -> Rows:
+    """How large each study is; frames and environments (`worlds`) are a seed's."""
     named = {"main": paper_configurations(studies.main), VECTORISED: studies.vectorised}
     named |= {"baseline": studies.baseline, "initial": studies.initial, **studies.switches}
-    rows = [
-        [study, *key, one.n_seeds, one.settings["frames"], one.settings["n_envs"]]
-        for study, found in {**named, "tuned": studies.tuned}.items()
-        for key, one in found.items()
-    ]
-    return pd.DataFrame(rows, columns=["study", "algorithm", "activation", "seeds", "frames", "worlds"])
+    for study, found in {**named, "tuned": studies.tuned}.items():
+        for key, one in found.items():
+            yield [study, *key, one.n_seeds, one.settings["frames"], one.settings["n_envs"]]
 
 
 def spread(configurations: Configurations, setting: str) -> str:

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from uavnav import stats, style
 from uavnav.colours import colours
-from uavnav.report.apart import flights
+from uavnav.report import charts
+from uavnav.report.apart import flights, named
 from uavnav.report.frames import RULE
 from uavnav.stats import Array
 
@@ -64,17 +64,15 @@ def table(flown: Mapping[Where, Seeds], rules: Mapping[int, float]) -> pd.DataFr
     """
     rows = []
     for where, own in sorted(flown.items()):
-        usual = flown.get(where._replace(gamma=USUAL))
-        gain = stats.difference([own.reward], [usual.reward] if usual and where.gamma != USUAL else [])
-        intervals = {
-            "value": stats.difference([own.reward], []),
-            "survive": stats.difference([own.survive], []),
-            "gain": gain if usual and where.gamma != USUAL else stats.Interval(np.nan, np.nan, np.nan, 0),
-        }
-        row = where._asdict() | {"n": len(own.reward), "scripted": rules.get(where.limit, np.nan)}
-        for name, one in intervals.items():
-            row |= {name: one.value, f"{name}_low": one.low, f"{name}_high": one.high}
-        rows.append(row)
+        usual = flown.get(where._replace(gamma=USUAL)) if where.gamma != USUAL else None
+        gain = stats.difference([own.reward], [usual.reward]) if usual else stats.NONE
+        rows.append(
+            where._asdict()
+            | {"n": len(own.reward), "scripted": rules.get(where.limit, np.nan)}
+            | named("value", stats.difference([own.reward]))
+            | named("survive", stats.difference([own.survive]))
+            | named("gain", gain)
+        )
     found = pd.DataFrame(rows)
     verdicts = [found["gain"].isna(), found["gain_low"] > 0, found["gain_high"] < 0]
     return found.assign(verdict=np.select(verdicts, ["–", "more", "less"], "open"))
@@ -84,15 +82,13 @@ def table(flown: Mapping[Where, Seeds], rules: Mapping[int, float]) -> pd.DataFr
 def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward by frames of training: a panel a time limit, a line a gamma."""
     limits = [*found.groupby("limit")]
-    side_by_side = (1, len(limits)) if width >= style.WIDTH else (len(limits), 1)
-    drawn = Figure(figsize=(width, 3.4 * side_by_side[0] + 0.6), layout="constrained")
-    grid = drawn.subplots(*side_by_side, squeeze=False).ravel()
+    drawn, grid = charts.panels(len(limits), len(limits) if width >= style.WIDTH else 1, 3.4, width)
     gammas = sorted(found["gamma"].unique())
     looks = dict(zip(gammas, zip(colours(["ppo"] * len(gammas)), "os^Dv", strict=False), strict=False))
     said = []
     for axes, (limit, panel) in zip(grid, limits, strict=True):
         for gamma, line in panel.groupby("gamma"):
-            ends = np.abs(line[["value_low", "value_high"]].to_numpy().T - line["value"].to_numpy())
+            ends = charts.errors(line, ["value_low", "value_high"])
             colour, marker = looks[gamma]
             at = line["frames"] / 1e6 + 0.02 * gammas.index(gamma)  # so that no interval hides another
             axes.errorbar(at, line["value"], ends, color=colour, marker=marker, capsize=3)

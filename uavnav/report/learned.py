@@ -8,10 +8,11 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from uavnav import stats, style
+from uavnav.report import charts
 from uavnav.report.apart import Flight, flights
+from uavnav.report.frames import NUMBERS, Rows, columns
 from uavnav.runs.metrics import OWN, PER_EPISODE, of_episodes
 from uavnav.tasks.faults import from_words
 
@@ -53,16 +54,14 @@ def place(one: Flight) -> str:
     return ", ".join(filter(None, own))
 
 
-def table(found: Sequence[Flight]) -> pd.DataFrame:
+@columns("place", "who", "learned", "shield", "measure", *NUMBERS)
+def table(found: Sequence[Flight]) -> Rows:
     """A row a task, policy, shield and measure: the mean over seeds and its 95 % interval."""
-    rows: list[list[object]] = []
     for one in sorted(found, key=lambda one: (place(one), one.how["shield"], not one.run)):
         seeds = of_episodes(one.rows)
         facts = [place(one), one.who, bool(one.run), bool(one.how["shield"])]
-        names = [name for name in MEASURES if name in seeds]
-        rows += [[*facts, name, *stats.difference([seeds[name].to_numpy()], [])] for name in names]
-    columns = ["place", "who", "learned", "shield", "measure", "value", "low", "high", "n"]
-    return pd.DataFrame(rows, columns=columns)
+        for name in (name for name in MEASURES if name in seeds):
+            yield [*facts, name, *stats.difference([seeds[name].to_numpy()])]
 
 
 def ahead(found: pd.DataFrame) -> pd.DataFrame:
@@ -82,7 +81,8 @@ def ahead(found: pd.DataFrame) -> pd.DataFrame:
     return both.assign(verdict=verdict)
 
 
-def shielded(found: Sequence[Flight]) -> pd.DataFrame:
+@columns("place", "who", "value", "gain", "gain_low", "gain_high", "n", "collisions", "left")
+def shielded(found: Sequence[Flight]) -> Rows:
     """What the shield changes: a row a task and learned policy that was flown with and without it.
 
     Columns place, who, n; `value`, the reward without it; `gain` in reward, seed by seed, with its 95 %
@@ -92,14 +92,11 @@ def shielded(found: Sequence[Flight]) -> pd.DataFrame:
     for one in found:
         if one.run:
             flown.setdefault((place(one), one.who), {})[bool(one.how["shield"])] = of_episodes(one.rows)
-    rows: list[list[object]] = []
     for key, own in flown.items():
         if len(own) == 2:
-            gain = stats.difference([(own[True]["reward"] - own[False]["reward"]).to_numpy()], [])
+            gain = stats.difference([(own[True]["reward"] - own[False]["reward"]).to_numpy()])
             collisions = [own[shield]["collisions"].mean() for shield in (False, True)]
-            rows.append([*key, own[False]["reward"].mean(), *gain, *collisions])
-    columns = ["place", "who", "value", "gain", "gain_low", "gain_high", "n", "collisions", "left"]
-    return pd.DataFrame(rows, columns=columns)
+            yield [*key, own[False]["reward"].mean(), *gain, *collisions]
 
 
 def listed(found: pd.DataFrame, where: str) -> pd.DataFrame:
@@ -113,26 +110,20 @@ def listed(found: pd.DataFrame, where: str) -> pd.DataFrame:
 def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward per episode by policy: a panel a task, without and with the shield."""
     panels = [*found[found["measure"] == "reward"].groupby("place", sort=False)]
-    columns = 2 if width >= style.WIDTH else 1
-    rows = -(-len(panels) // columns)
-    drawn = Figure(figsize=(width, 2.9 * rows + 0.6), layout="constrained")
-    grid = drawn.subplots(rows, columns, squeeze=False).ravel()
+    drawn, grid = charts.panels(len(panels), 2 if width >= style.WIDTH else 1, 2.9, width)
     looks = {False: ("o", style.INK, "as it is"), True: ("D", style.CLEAR, "under the shield")}
     said = []
-    for axes, (where, panel) in zip(grid, panels, strict=False):
+    for axes, (where, panel) in zip(grid, panels, strict=True):
         names = [*dict.fromkeys(panel["who"])]
         for shield, part in panel.groupby("shield"):
             marker, colour, _ = looks[bool(shield)]
             at = part["who"].map(names.index) + (0.15 if shield else -0.15)
-            ends = np.abs(part[["low", "high"]].to_numpy().T - part["value"].to_numpy())
-            axes.errorbar(part["value"], at, xerr=np.nan_to_num(ends), fmt=marker, color=colour, capsize=3)
+            axes.errorbar(part["value"], at, xerr=charts.errors(part), fmt=marker, color=colour, capsize=3)
         top = panel.loc[panel["value"].idxmax()]
         said.append(f"{where}: {top['who']}{' + shield' * bool(top['shield'])} {style.number(top['value'])}")
         style.name_rows(axes, names)
         axes.set_title(where)
         axes.set_xlabel("reward per episode")
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
     handles = [style.mark(marker, label, markerfacecolor=one) for marker, one, label in looks.values()]
     style.legend(drawn, handles)
     return style.Drawn(drawn, f"The most reward per episode: {'; '.join(said)}.")

@@ -8,25 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from uavnav import stats, style
-from uavnav.report.apart import Flight, flights
+from uavnav.report import charts
+from uavnav.report.apart import flights, named
 from uavnav.report.frames import RULE
-from uavnav.runs import Run
 from uavnav.stats import Array
 from uavnav.tasks.protocol import MAX_STEPS
 
-Table = pd.DataFrame
 STUDY = "longer"
 NEAR = 0.1
 """A change within this share of the reward before it counts as none."""
-NONE = stats.Interval(np.nan, np.nan, np.nan, 0)
 
 
 class Where(NamedTuple):
@@ -40,25 +37,24 @@ class Where(NamedTuple):
     frames: int  # of training
 
 
-def gather(folders: Sequence[Path]) -> tuple[dict[str, Table], list[str]]:
+def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """The study's table by its name, none where there is no such study; a line for what cannot be read."""
     found, left_out = flights(folders, STUDY)
-    flown = {_where(one, one.run): one for one in found if one.run is not None and len(one.reward)}
+    flown = {}
+    for one in found:
+        if one.run and len(one.reward):
+            who = one.run.path.parent.parent.name, one.run.algorithm, one.run.config["activation"]
+            frames = round(one.how["at"] * one.run.config["total_frames"])
+            flown[Where(*who, one.how["layouts"], one.how["max_steps"], frames)] = one
     rules = [one for one in found if one.who == RULE]
     scripted = {(one.how["layouts"], one.how["max_steps"]): float(one.reward.mean()) for one in rules}
     rewards, gaps = ({where: getattr(one, of) for where, one in flown.items()} for of in ("reward", "gap"))
     return ({STUDY: table(rewards, gaps, scripted)} if flown else {}), left_out
 
 
-def _where(one: Flight, run: Run) -> Where:
-    settings, frames = run.path.parent.parent.name, round(one.how["at"] * run.config["total_frames"])
-    names = settings, run.algorithm, run.config["activation"]
-    return Where(*names, one.how["layouts"], one.how["max_steps"], frames)
-
-
 def table(
     rewards: Mapping[Where, Array], gaps: Mapping[Where, Array], scripted: Mapping[tuple[str, int], float]
-) -> Table:
+) -> pd.DataFrame:
     """A row a configuration, split, time limit and length of training.
 
     rewards, gaps: of the seeds, [S] each, in the same order; scripted: the scripted policy's reward by split
@@ -72,20 +68,18 @@ def table(
         other = best(rewards, where, algorithms - {where.algorithm})
         shorter = max((one.frames for one in rewards if one.frames < where.frames), default=0)
         before = rewards.get(where._replace(frames=shorter))
-        gain = NONE if before is None else stats.difference([own - before], [])
-        intervals = {
-            "": stats.difference([own], []),
-            "gap_": stats.difference([gaps[where]], []),
-            "lead_": NONE if other is None else stats.difference([own], [rewards[other]]),
-            "gain_": gain,
-        }
-        row: dict[str, Any] = where._asdict() | {"n": len(own), "above": int((gaps[where] > 0).sum())}
-        for name, found in intervals.items():
-            row |= dict(zip((name[:-1] or "value", f"{name}low", f"{name}high"), found[:3], strict=True))
-        row["trend"] = "" if before is None else trend(gain, before.mean())
-        row["leads"] = best(rewards, where, algorithms) == where
-        row["scripted"] = scripted.get((where.layouts, where.limit), np.nan)
-        rows.append(row)
+        gain = stats.NONE if before is None else stats.difference([own - before])
+        rows.append(
+            where._asdict()
+            | {"n": len(own), "above": int((gaps[where] > 0).sum())}
+            | stats.difference([own])._asdict()
+            | named("gap", stats.difference([gaps[where]]))
+            | named("lead", stats.NONE if other is None else stats.difference([own], [rewards[other]]))
+            | named("gain", gain)
+            | {"trend": "" if before is None else trend(gain, before.mean())}
+            | {"leads": best(rewards, where, algorithms) == where}
+            | {"scripted": scripted.get((where.layouts, where.limit), np.nan)}
+        )
     by = ["layouts", "limit", "frames", "algorithm", "settings", "activation"]
     return pd.DataFrame(rows).sort_values(by, ignore_index=True)
 
@@ -114,20 +108,16 @@ def trend(gain: stats.Interval, before: float) -> str:
 
 
 @matplotlib.rc_context(style.STYLE)
-def figure(found: Table, width: float = style.WIDTH) -> style.Drawn:
+def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward on test layouts by frames of training, a panel an algorithm with its settings."""
     shown = found[(found["layouts"] == "test") & (found["limit"] == MAX_STEPS)]
     panels = [*shown.groupby(["algorithm", "settings"], sort=False)]
-    columns = 3 if width >= style.WIDTH else 2
-    rows = -(-len(panels) // columns)
-    drawn = Figure(figsize=(width, 2.3 * rows + 0.6), layout="constrained")
-    grid = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    said = []
-    for axes, ((algorithm, settings), panel) in zip(grid, panels, strict=False):
+    columns, said = 3 if width >= style.WIDTH else 2, []
+    drawn, grid = charts.panels(len(panels), columns, 2.3, width, sharex=True, sharey=True)
+    for axes, ((algorithm, settings), panel) in zip(grid, panels, strict=True):
         for activation, line in panel.groupby("activation", sort=False):
-            ends = np.abs(line[["low", "high"]].to_numpy().T - line["value"].to_numpy())
             look = {"color": style.COLOURS[activation], "marker": "o", "capsize": 3, "label": activation}
-            axes.errorbar(line["frames"] / 1e6, line["value"], ends, **look)
+            axes.errorbar(line["frames"] / 1e6, line["value"], charts.errors(line), **look)
             last = line.iloc[-1]
             said.append(f"{algorithm.upper()} {settings} {activation} {style.number(last['value'])}")
         axes.axhline(panel["scripted"].iloc[0], **style.RULED)
@@ -136,8 +126,6 @@ def figure(found: Table, width: float = style.WIDTH) -> style.Drawn:
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
         axes.set_title(f"{algorithm.upper()} {settings}")
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
     drawn.supxlabel("million frames", fontsize=12)
     drawn.supylabel("reward per episode", fontsize=12)
     handles = [

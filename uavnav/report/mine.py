@@ -16,6 +16,8 @@ from uavnav.errors import OneLineError
 from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
+from uavnav.report.frames import RULE, least_to_most
+from uavnav.report.templating import Figure
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
 from uavnav.runs.evaluations import Protocol, usual
@@ -28,8 +30,6 @@ from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
 
 TITLES = browser.TITLES | browser.IN_3D
-SCRIPT = "reactive"
-"""The scripted policy that everything learned is compared with."""
 YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
@@ -48,7 +48,7 @@ class Group(NamedTuple):
     contenders: list[Contender]  # the best first, those without test episodes last
     scripted: Contender | None
     ranking: tables.Rows
-    figures: list[tuple[str, style.Drawn, style.Drawn, str]]  # name, wide, narrow, caption
+    figures: list[Figure]
 
 
 KIND = "algorithm", "preset", "task"
@@ -65,6 +65,11 @@ class Mine(NamedTuple):
     recorded: dict[str, Any] | None
     left_out: list[str]
 
+    @property
+    def figures(self) -> list[Figure]:
+        """Of all groups."""
+        return [figure for group in self.groups for figure in group.figures]
+
 
 def gather(
     found: Sequence[Configuration],
@@ -77,24 +82,22 @@ def gather(
 
     found: finished ones of all kinds; out: where scripted episodes are kept; tell: as of `report`.
     """
-    own = {str(one.runs[0].path): one for one in found if not one.study}
-    begun = {str(path): begin(path) for path in unfinished}
-    if not own and not begun:
+    own = {
+        one.runs[0].path: (one, f"{least_to_most([one.n_seeds], 'seed')}, {one.settings['frames']:,} frames")
+        for one in found
+        if not one.study
+    }
+    own |= {path: begin(path) for path in unfinished}
+    if not own:
         return None
-    names = _names([*own, *begun], folders)
-    for place, one in enumerate(own.values()):  # runs that differ in their seeds are one
-        names[place] += f" and {len(one.runs) - 1} more" if len(one.runs) > 1 else ""
-    paths = dict(zip(names, map(Path, [*own, *begun]), strict=True))
-    said = [
-        f"{one.n_seeds} seed{'s' * (one.n_seeds > 1)}, {one.settings['frames']:,} frames"
-        for one in own.values()
-    ]
-    status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True)) | {YOU: "by hand"}
-    configurations = [*own.values(), *(one for one, _ in begun.values())]
-    contenders = []
-    for name, one in zip(paths, configurations, strict=True):
+    paths, contenders = {}, []
+    status = {YOU: "by hand"}
+    for name, (path, (one, how)) in zip(_names([*own], folders), own.items(), strict=True):
+        if len(one.runs) > 1:  # runs that differ in their seeds are one
+            name = f"{name} and {len(one.runs) - 1} more"
+        paths[name], status[name] = path, how
         first, rows = one.runs[0].evaluation() if one.runs else None, None
-        if first is not None:  # several runs may differ only in their seeds
+        if first is not None:
             rows = one.evaluation.copy()
             rows.attrs = first.attrs
         contenders.append(compare.trained(name, one, rows))
@@ -164,13 +167,13 @@ def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
     return min(frames, default=0), pd.concat(parts, ignore_index=True) if parts else EMPTY
 
 
-def _names(paths: Sequence[str], folders: Sequence[Path]) -> list[str]:
+def _names(paths: Sequence[Path], folders: Sequence[Path]) -> list[str]:
     """Names of runs: their paths below the report's folders, whole where two would be the same."""
     short = []
-    for path in map(Path, paths):
+    for path in paths:
         folder = next(one for one in folders if path.is_relative_to(one))
         short.append(str(path.relative_to(folder)) if path != folder else path.name)
-    return [name if short.count(name) == 1 else path for name, path in zip(short, paths, strict=True)]
+    return [name if short.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
 
 
 def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
@@ -213,14 +216,14 @@ def _group(
     if rows:
         draw = functools.partial(charts.episodes, rows, looks, rule, "reward of a test episode")
         words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
-        figures.append((f"ranking-{place + 1}", draw(), draw(width=style.NARROW), words))
+        figures.append(Figure(f"ranking-{place + 1}", "runs", draw(), words, draw(width=style.NARROW)))
     if any(len(one.episodes) for one in learned.values()):
         mine = {name: looks[name] for name in learned}
         draw = functools.partial(charts.curves, learned, {}, looks=mine, rule=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
-        figures.append((f"curves-{place + 1}", draw(), draw(width=style.NARROW), words))
+        figures.append(Figure(f"curves-{place + 1}", "runs", draw(), words, draw(width=style.NARROW)))
     how = compare.flown(ordered) if flown else "no test episodes yet"
     return Group(
         TITLES.get(task, task).capitalize(),
@@ -236,15 +239,15 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender
     """The scripted policy's episodes on a run's layouts, kept or new; None where it cannot."""
     protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
     layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
-    name = Protocol(layouts, episodes, limit, None, task).file(SCRIPT)
+    name = Protocol(layouts, episodes, limit, None, task).file(RULE)
     beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
     plain = not {"world", "reward", "faults"} & beyond
     there = [path for folder in folders if plain and (path := folder / "baselines" / name).exists()]
     try:
         if there:
             rows = read_table(there[0], EVALUATED, "delete it")
-            return Contender(SCRIPT, rows, protocol, first.place, None, SCRIPT)
-        flown = compare.fly(SCRIPT, protocol, None, str(run))
+            return Contender(RULE, rows, protocol, first.place, None, RULE)
+        flown = compare.fly(RULE, protocol, None, str(run))
         if plain:
             rows = flown.episodes.copy()
             rows.attrs = {str(key): value for key, value in protocol.items()}
@@ -279,7 +282,7 @@ def _ranking(
         mean, over = one.reward
         numbers = _number(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
         if one is scripted:
-            rows.append([f"scripted policy, `{SCRIPT}`", *numbers, tables.NOTHING, "none"])
+            rows.append([f"scripted policy, `{RULE}`", *numbers, tables.NOTHING, "none"])
         else:
             gap = _number(ahead(one, scripted)[0]) if scripted is not None else tables.NOTHING
             rows.append([one.name, *numbers, gap, status[one.name]])
@@ -371,29 +374,11 @@ def contents(mine: Mine, left_out: Sequence[str], watched: bool) -> dict[str, by
     """The files of a report on only one's own runs; left_out: a line for each run that is not in it."""
     told: dict[str, Any] = {
         "mine": mine,
-        "pictures": pictures(mine),
+        "pictures": templating.pictures(mine.figures),
         "left_out": left_out,
         "watched": watched,
     }
-    return files_of(mine) | {
+    return templating.files_of(mine.figures) | {
         "report.html": templating.page("mine.html", {}, **told).encode(),
         "report.md": templating.TEMPLATES.get_template("runs.md").render(told).encode(),
-    }
-
-
-def files_of(mine: Mine) -> dict[str, bytes]:
-    """The figures as files."""
-    found: dict[str, bytes] = {}
-    for name, drawn, _, _ in (figure for group in mine.groups for figure in group.figures):
-        svg, png = style.save(drawn.figure)
-        found |= {f"figures/{name}.svg": svg, f"figures/{name}.png": png}
-    return found
-
-
-def pictures(mine: Mine) -> dict[str, list[Any]]:
-    """Every figure by its name, for a page and for a phone."""
-    return {
-        name: [templating.source(one.figure) for one in (wide, narrow)]
-        for group in mine.groups
-        for name, wide, narrow, _ in group.figures
     }

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.apart import Flight, flights
+from uavnav.report.apart import Flight, flights, named
 from uavnav.tasks.faults import from_words
 
 STUDY = "noise"
@@ -29,22 +29,17 @@ def table(found: Sequence[Flight]) -> pd.DataFrame:
     seeds are `above` it; `gain`, the reward minus that of the policies trained without noise, under the same
     noise.
     """
+    trained = [float(one.run.config["faults"]["noise"]) if one.run else np.nan for one in found]
+    keys = [(one.who, one.how["faults"]) for one in found]
+    without = {key: one.reward for key, one, noise in zip(keys, found, trained, strict=True) if noise == 0}
     rows = []
-    without = {(one.who, one.how["faults"]): one.reward for one in found if one.run and _trained(one) == 0}
-    for one in found:
-        value, gap = stats.difference([one.reward], []), stats.difference([one.gap], [])
-        clean = without.get((one.who, one.how["faults"]))
-        gain = (np.nan,) * 3
-        if one.run and _trained(one) and clean is not None:
-            gain = stats.difference([one.reward], [clean])[:3]
-        flown, trained = from_words(one.how["faults"]).noise, _trained(one) if one.run else np.nan
-        facts = [one.who, trained, flown, *value[:3], value.n, *gap[:3], int((one.gap > 0).sum()), *gain]
-        rows.append(facts)
-    columns = ["who", "trained", "flown", "value", "low", "high", "n", "gap", "gap_low", "gap_high", "above"]
-    named = pd.DataFrame(rows, columns=[*columns, "gain", "gain_low", "gain_high"])
-    return named.sort_values(["flown", "trained"], kind="stable", ignore_index=True)
-
-
-def _trained(one: Flight) -> float:
-    """The noise that a run was trained with [px]."""
-    return float(one.run.config["faults"]["noise"]) if one.run else np.nan
+    for key, one, noise in zip(keys, found, trained, strict=True):
+        gains = noise > 0 and key in without
+        rows.append(
+            {"who": one.who, "trained": noise, "flown": from_words(one.how["faults"]).noise}
+            | stats.difference([one.reward])._asdict()
+            | named("gap", stats.difference([one.gap]))
+            | {"above": int((one.gap > 0).sum())}
+            | named("gain", stats.difference([one.reward], [without[key]]) if gains else stats.NONE)
+        )
+    return pd.DataFrame(rows).sort_values(["flown", "trained"], kind="stable", ignore_index=True)

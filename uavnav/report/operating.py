@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from uavnav.report.claims import CLAIMS, Claim, Evidence, Part, Term
+from uavnav.report.frames import Rows, columns
 from uavnav.report.verdicts import GRADES, effects, judge
 from uavnav.stats import Array
 
@@ -20,17 +20,15 @@ TRUTHS = TABLES, EQUAL = "the paper's tables", "no difference"
 """The paper's tables are the truth; or whatever the claim compares is equal (`Claim.equal`)."""
 
 
-def characteristics(
-    evidence: Evidence, paper: Evidence, claims: Sequence[Claim] = CLAIMS, seed: int = 0
-) -> pd.DataFrame:
-    """How often each claim would be graded what: columns claim, truth, grade, share (of `STUDIES`).
+@columns("claim", "truth", "grade", "share")
+def characteristics(evidence: Evidence, paper: Evidence, claims: Sequence[Claim] = CLAIMS) -> Rows:
+    """How often each claim would be graded what; shares are of `STUDIES`.
 
     A simulated study has our configurations' numbers of seeds, and seeds that scatter as ours do: residuals
     around our configurations' means, drawn with replacement and times sqrt(S / (S - 1)), are added to the
     true means. A seed's metrics are drawn together. Claims without a part to judge, without seeds, or (of the
-    paper's tables) without printed numbers are left out. seed: of the draws.
+    paper's tables) without printed numbers are left out.
     """
-    rows = []
     for claim in claims:
         parts = [part for part in claim.parts if not part.beside]
         seeds = {term: evidence(*term) for part in parts for term in part.terms}
@@ -41,12 +39,10 @@ def characteristics(
             means = _means(claim, seeds, paper, truth)
             if not np.isfinite(list(means.values())).all():
                 continue
-            rng = np.random.default_rng((seed, claim.number))
+            rng = np.random.default_rng((0, claim.number))
             judged = judge(parts, _studies(parts, seeds, means, rng), printed)
-            rows += [
-                (claim.number, truth, grade, float((judged.grades == grade).mean())) for grade in GRADES[:-1]
-            ]
-    return pd.DataFrame(rows, columns=["claim", "truth", "grade", "share"])
+            for grade in GRADES[:-1]:
+                yield claim.number, truth, grade, float((judged.grades == grade).mean())
 
 
 def _means(claim: Claim, seeds: Mapping[Term, Array], paper: Evidence, truth: str) -> dict[Term, float]:

@@ -28,10 +28,9 @@ from uavnav.report import (
 from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
-from uavnav.report.mine import Mine, files_of
-from uavnav.report.mine import pictures as mine_pictures
+from uavnav.report.mine import Mine
 from uavnav.report.quotes import STUDY, prose
-from uavnav.report.templating import HERE, TEMPLATES, Source, plain, source
+from uavnav.report.templating import HERE, TEMPLATES, Source, files_of, pictures, plain
 from uavnav.report.templating import page as fill
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import paper
@@ -106,21 +105,15 @@ def contents(
 
     first: the report's first folder; own: what stands before the study; watched: the page renews itself.
     """
-    found: dict[str, bytes] = files_of(own) if own else {}
-    pictures = {}
-    for figure in content.figures:
-        svg, png = save(figure.drawn.figure)
-        found |= {f"figures/{figure.name}.svg": svg, f"figures/{figure.name}.png": png}
-        pictures[figure.name] = [source(figure.drawn.figure)]
-    for figure in content.narrow:
-        pictures[figure.name].append(source(figure.drawn.figure))
+    shown = [*(own.figures if own else []), *content.figures]
+    found = files_of(shown)
     for stem, frame in content.tables.items():
         found[f"tables/{stem}.csv"] = frame.to_csv(
             index=False, float_format="%.6g", lineterminator="\n"
         ).encode()
     for algorithm, (header, *rows) in content.paper_tables.items():
-        shown = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
-        found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
+        rows = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
+        found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *rows]).encode()
     if episodes := first_episodes(content):
         drones = paths(episodes, PREVIEWED)
         firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
@@ -129,8 +122,7 @@ def contents(
         title, obstacles = plain(said(content)["headline"] or TITLE), np.array(episodes["layouts"][0])
         drawn = arena.preview(title, drones, collided, obstacles, World())
         found["preview.png"] = save(drawn)[1]
-    pictures |= mine_pictures(own) if own else {}
-    found["report.html"] = page(content, pictures, first, own, watched).encode()
+    found["report.html"] = page(content, pictures(shown), first, own, watched).encode()
     found["report.md"] = markdown(content).encode()
     return found
 

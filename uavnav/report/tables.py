@@ -38,7 +38,7 @@ from uavnav.runs.metrics import METRICS, MODES, OWN, finished, per_seed
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
 Rows = list[list[str]]
-Record = Mapping[str, Any]
+Record = Mapping[Any, Any]
 Columns = Mapping[str, str | Callable[[Record], str]]
 """Columns of a table with a row a row of a frame: formats, or functions of a row, by header."""
 NOTHING = "–"
@@ -92,184 +92,176 @@ class _Configurations(string.Formatter):
         return NOTHING if shown == "nan%" else shown
 
 
-def listed(frame: pd.DataFrame, columns: Columns) -> Rows:
-    """A row a row; an interval that is not known is left out."""
-    rows, fill = [list(columns)], _Configurations().vformat
-    for one in _records(frame):
-        shown = (form(one) if callable(form) else fill(form, (), one) for form in columns.values())
+def listed(frame: pd.DataFrame, name: str) -> Rows:
+    """A row a row, with the columns of `LISTED`; an interval that is not known is left out."""
+    columns, fill = LISTED[name], _Configurations().vformat
+    rows = [list(columns)]
+    for one in frame.to_dict("records"):
+        told = {str(key): value for key, value in one.items()}
+        shown = (form(one) if callable(form) else fill(form, (), told) for form in columns.values())
         rows.append([cell.replace(f" [{NOTHING}, {NOTHING}]", "") for cell in shown])
     return rows
-
-
-def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(key): value for key, value in one.items()} for one in frame.to_dict("records")]
 
 
 def _across(
     part: pd.DataFrame, column: str, names: Iterable[str], shown: Callable[[Record], str]
 ) -> list[str]:
     """Some rows side by side, in the order of their names in a column; a dash where a name has none."""
-    known = {one[column]: shown(one) for one in _records(part)}
+    known = {one[column]: shown(one) for one in part.to_dict("records")}
     return [known.get(name, NOTHING) for name in names]
-
-
-INTERACTIONS: Columns = {
-    "definition": "{definition}",
-    "metric": "{metric}",
-    "seeds": "{n}",
-    "p, change of places": "{p_ranks:.4f}",
-    "p, raw scale": "{p_raw:.4f}",
-}
-SURVIVALS: Columns = {
-    "configuration": "{configuration}",
-    "seeds": "{n}",
-    "episodes": "{episodes:,}",
-    "truncated [share]": "{cut_off:.0%}",
-    "mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]",
-}
-GAPS: Columns = {
-    "who": "{who}",
-    "acting": "{mode}",
-    "seeds": "{n}",
-    "episodes": "{episodes:,}",
-    "that reach the time limit": "{up:.0%}",
-    "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
-    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
-    "seeds above": "{above:.0%}",
-}
-BY_DEFAULT: Columns = {
-    "settings": "{settings}",
-    "activations of both": "{activations}",
-    "seeds a configuration": "{n}",
-    "PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]",
-}
-SPEEDS: Columns = {
-    "configuration": "{configuration}",
-    "seeds side by side": "{seeds}",
-    "wall time [s] of a seed's share": "{seconds:.0f}",
-    "machine": "{machine}",
-}
-IMPROVEMENT: Columns = {
-    "configuration": "{a}",
-    "against": "{b}",
-    "seeds": "{n_a}, {n_b}",
-    "probability of more": "{probability:.2f}",
-    "Holm's p": "{p_holm:.3f}",
-}
-POWERS: Columns = {
-    "pair": "{pair}",
-    "seeds there are": "{n}",
-    "seeds a configuration": lambda one: (
-        f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
-    ),
-}
-WHYS: Columns = {
-    "question": "{question}",
-    "configuration or difference": "{row}",
-    "measure": "{metric}",
-    "mean": lambda one: _interval(one, VALUE, digits(stats.Interval(*(one[key] for key in (*VALUE, "n"))))),
-    "seeds": "{n}",
-}
-AHEAD: Columns = {
-    "task": "{world}",
-    "best policy": "{best}",
-    "reward per episode": "{value:.2f} [{low:.2f}, {high:.2f}]",
-    "best script": lambda one: one["script"] or NOTHING,
-    "its reward": "{scripted:.2f}",
-    "ahead": lambda one: one["ahead"] or NOTHING,
-    "not above a random policy": "{chance}",
-}
-"""Who is ahead in each task: of `worlds.leaders`."""
-LONGER: Columns = {
-    "configuration": lambda one: f"{name(one['algorithm'], one['activation'])} {one['settings']}",
-    "time limit": "{limit:,}",
-    "frames": "{frames:,}",
-    "seeds": "{n}",
-    "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
-    "lead over the other algorithm": "{lead:.1f} [{lead_low:.1f}, {lead_high:.1f}]",
-    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
-    "seeds above it": "{above}",
-    "change": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
-    "trend": lambda one: one["trend"] or NOTHING,
-}
-"""Of `longer.table`."""
-FITS: Columns = {
-    "draw": "{draw}",
-    "part": "{part}",
-    "value": "{value:.2f} [{low:.2f}, {high:.2f}]",
-    "Holm's p": "{p_holm:.3f}",
-    "seeds": "{n}",
-    "verdict": "{verdict}",
-}
-"""Of `ambiguities.judged`."""
-NOISE: Columns = {
-    "who": "{who}",
-    "trained with [px]": "{trained:.0f}",
-    "flown with [px]": "{flown:.0f}",
-    "seeds": "{n}",
-    "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
-    "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
-    "seeds above it": "{above}",
-    "more than trained without": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
-}
-"""Of `noise.table`."""
-HORIZON: Columns = {
-    "time limit": "{limit:,}",
-    "frames": "{frames:,}",
-    "γ": "{gamma:g}",
-    "seeds": "{n}",
-    "reward": "{value:.1f} [{value_low:.1f}, {value_high:.1f}]",
-    "reach the time limit [%]": "{survive:.1f} [{survive_low:.1f}, {survive_high:.1f}]",
-    "more than with 0.99": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
-    "earns": "{verdict}",
-    "scripted policy": "{scripted:.1f}",
-}
-"""Of `horizon.table`."""
-LEARNED: Columns = {
-    "task": "{place}",
-    "shield": lambda one: "yes" if one["shield"] else "no",
-    "best scripted policy": "{rule}",
-    "its reward": "{scripted:.1f}",
-    "learned": "{who}",
-    "earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
-    "seeds": "{n}",
-    "ahead": "{verdict}",
-}
-"""Of `learned.ahead`."""
-SHIELDED: Columns = {
-    "task": "{place}",
-    "who": "{who}",
-    "reward": "{value:.1f}",
-    "more under the shield": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
-    "collisions per 1,000 px": "{collisions:.3f}",
-    "under the shield": "{left:.3f}",
-    "seeds": "{n}",
-}
-"""Of `learned.shielded`."""
 
 
 def _layer_norm(one: Record) -> str:
     return "with" if one["layer_norm"] else "without"
 
 
-JUDGED: Columns = {
-    "measure": "{measure}",
-    "algorithm": lambda one: one["algorithm"].upper(),
-    "LayerNorm": _layer_norm,
-    "the choice is": "{verdict}",
-    "margin": "{margin}",
-    "largest difference": "{value:.1f} [{low:.1f}, {high:.1f}]",
-    "of": lambda one: f"{one['best']} and {one['worst']}" if one["best"] else NOTHING,
-    "seeds": "{n}",
+LISTED: Mapping[str, Columns] = {
+    "interaction": {
+        "definition": "{definition}",
+        "metric": "{metric}",
+        "seeds": "{n}",
+        "p, change of places": "{p_ranks:.4f}",
+        "p, raw scale": "{p_raw:.4f}",
+    },
+    "survival": {
+        "configuration": "{configuration}",
+        "seeds": "{n}",
+        "episodes": "{episodes:,}",
+        "truncated [share]": "{cut_off:.0%}",
+        "mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]",
+    },
+    "gaps": {
+        "who": "{who}",
+        "acting": "{mode}",
+        "seeds": "{n}",
+        "episodes": "{episodes:,}",
+        "that reach the time limit": "{up:.0%}",
+        "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
+        "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+        "seeds above": "{above:.0%}",
+    },
+    "by_default": {
+        "settings": "{settings}",
+        "activations of both": "{activations}",
+        "seeds a configuration": "{n}",
+        "PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]",
+    },
+    "speed": {
+        "configuration": "{configuration}",
+        "seeds side by side": "{seeds}",
+        "wall time [s] of a seed's share": "{seconds:.0f}",
+        "machine": "{machine}",
+    },
+    "improvement": {
+        "configuration": "{a}",
+        "against": "{b}",
+        "seeds": "{n_a}, {n_b}",
+        "probability of more": "{probability:.2f}",
+        "Holm's p": "{p_holm:.3f}",
+    },
+    "power": {
+        "pair": "{pair}",
+        "seeds there are": "{n}",
+        "seeds a configuration": lambda one: (
+            f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
+        ),
+    },
+    "whys": {
+        "question": "{question}",
+        "configuration or difference": "{row}",
+        "measure": "{metric}",
+        "mean": lambda one: _interval(
+            one, VALUE, digits(stats.Interval(*(one[key] for key in (*VALUE, "n"))))
+        ),
+        "seeds": "{n}",
+    },
+    "leaders": {
+        "task": "{world}",
+        "best policy": "{best}",
+        "reward per episode": "{value:.2f} [{low:.2f}, {high:.2f}]",
+        "best script": lambda one: one["script"] or NOTHING,
+        "its reward": "{scripted:.2f}",
+        "ahead": lambda one: one["ahead"] or NOTHING,
+        "not above a random policy": "{chance}",
+    },
+    "longer": {
+        "configuration": lambda one: f"{name(one['algorithm'], one['activation'])} {one['settings']}",
+        "time limit": "{limit:,}",
+        "frames": "{frames:,}",
+        "seeds": "{n}",
+        "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
+        "lead over the other algorithm": "{lead:.1f} [{lead_low:.1f}, {lead_high:.1f}]",
+        "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+        "seeds above it": "{above}",
+        "change": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+        "trend": lambda one: one["trend"] or NOTHING,
+    },
+    "ambiguities": {
+        "draw": "{draw}",
+        "part": "{part}",
+        "value": "{value:.2f} [{low:.2f}, {high:.2f}]",
+        "Holm's p": "{p_holm:.3f}",
+        "seeds": "{n}",
+        "verdict": "{verdict}",
+    },
+    "noise": {
+        "who": "{who}",
+        "trained with [px]": "{trained:.0f}",
+        "flown with [px]": "{flown:.0f}",
+        "seeds": "{n}",
+        "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
+        "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+        "seeds above it": "{above}",
+        "more than trained without": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+    },
+    "horizon": {
+        "time limit": "{limit:,}",
+        "frames": "{frames:,}",
+        "γ": "{gamma:g}",
+        "seeds": "{n}",
+        "reward": "{value:.1f} [{value_low:.1f}, {value_high:.1f}]",
+        "reach the time limit [%]": "{survive:.1f} [{survive_low:.1f}, {survive_high:.1f}]",
+        "more than with 0.99": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+        "earns": "{verdict}",
+        "scripted policy": "{scripted:.1f}",
+    },
+    "learned_ahead": {
+        "task": "{place}",
+        "shield": lambda one: "yes" if one["shield"] else "no",
+        "best scripted policy": "{rule}",
+        "its reward": "{scripted:.1f}",
+        "learned": "{who}",
+        "earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+        "seeds": "{n}",
+        "ahead": "{verdict}",
+    },
+    "learned_shielded": {
+        "task": "{place}",
+        "who": "{who}",
+        "reward": "{value:.1f}",
+        "more under the shield": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
+        "collisions per 1,000 px": "{collisions:.3f}",
+        "under the shield": "{left:.3f}",
+        "seeds": "{n}",
+    },
+    "activations_equal": {
+        "measure": "{measure}",
+        "algorithm": lambda one: one["algorithm"].upper(),
+        "LayerNorm": _layer_norm,
+        "the choice is": "{verdict}",
+        "margin": "{margin}",
+        "largest difference": "{value:.1f} [{low:.1f}, {high:.1f}]",
+        "of": lambda one: f"{one['best']} and {one['worst']}" if one["best"] else NOTHING,
+        "seeds": "{n}",
+    },
+    "activations_carried": {
+        "measure": "{measure}",
+        "LayerNorm": _layer_norm,
+        "rank correlation of PPO and DQN": "{value:.2f} [{low:.2f}, {high:.2f}]",
+        "seeds": "{n}",
+    },
 }
-"""Of `activations.judged`."""
-CARRIED: Columns = {
-    "measure": "{measure}",
-    "LayerNorm": _layer_norm,
-    "rank correlation of PPO and DQN": "{value:.2f} [{low:.2f}, {high:.2f}]",
-    "seeds": "{n}",
-}
-"""Of `activations.carried`."""
+"""The columns of the tables with a row a row of a frame, by the name of its CSV."""
 
 
 def drawn(frame: pd.DataFrame) -> Rows:
@@ -323,14 +315,16 @@ def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
     )
 
 
-def audit_rows(findings: Sequence[Finding]) -> Rows:
-    """The parts of a claim."""
+def audit_rows(parts: pd.DataFrame) -> Rows:
+    """The parts of a claim; parts: as `frames.verdicts` gives them."""
     ours = ("ours, adjusted interval", "ours : the paper")
     rows = [["question", "the paper", *ours, "Holm's p", "seeds", "verdict"]]
+    findings: Iterable[Any] = parts.itertuples()
     for one in findings:
         nearest = f" ({one.nearest})" if one.nearest else ""
+        effect = with_interval(one.value, one.low, one.high, digits(one)) + nearest
         ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
-        numbers = number(one.paper, digits(one)), effect(one) + nearest, ratio, p_shown(one.p_holm)
+        numbers = number(one.paper, digits(one)), effect, ratio, p_shown(one.p_holm)
         rows.append([one.text, *numbers, str(one.n), said(one)])
     return rows
 
@@ -340,11 +334,6 @@ def digits(finding: Any) -> int:
     width = finding.high - finding.low
     known = width if width > 0 else abs(finding.value)
     return min(max(1 - math.floor(math.log10(known)), 0), 6) if known > 0 else 2
-
-
-def effect(finding: Finding) -> str:
-    """Our effect and its interval."""
-    return with_interval(finding.value, finding.low, finding.high, digits(finding))
 
 
 def said(finding: Finding) -> str:
@@ -518,7 +507,7 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
 
 def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, root: str) -> str:
     """The number of a table's one row with its interval, and a link to it; a dash where there is none."""
-    for place, one in zip(rows.index, _records(rows), strict=True):
+    for place, one in zip(rows.index, rows.to_dict("records"), strict=True):
         shown, *interval = _interval(one, columns, digits).partition(" [")
         return f"[{shown}]({root}tables/{table}.csv#L{place + 2}){''.join(interval)}"
     return NOTHING

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
 import pandas as pd
 from markupsafe import Markup, escape
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Drawing
 
 from uavnav import style
 from uavnav.report import tables
@@ -70,17 +70,12 @@ def as_json(data: Any) -> Markup:
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-class Quoted(NamedTuple):
-    """The rows of a table that a page leads to."""
+def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
+    """The rows to which a page's links lead; a link to a table as a whole wants all rows of a small one.
 
-    name: str
-    columns: list[str]
-    rows: list[tuple[int, list[str]]]  # by their lines in the CSV
-    of: int  # rows that the table has
-
-
-def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[Quoted]:
-    """The rows to which a page's links lead; a link to a table as a whole wants all rows of a small one."""
+    A table each: its name, the columns that are shown, `rows` by their lines in the CSV, and how many it
+    has in all (`of`).
+    """
     wanted: dict[str, set[int]] = {}
     for name, line in _QUOTED.findall(page):
         whole = range(2, 2 + len(numbers[name])) if len(numbers[name]) <= MOST else ()
@@ -95,9 +90,8 @@ def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[Quoted]:
             if not re.search(r"(^|_)(low|high)$", str(column)) and rows[column].notna().any()
         }
         cells = zip(*shown.values(), strict=True)
-        found.append(
-            Quoted(name, [*shown], list(zip(lines, map(list, cells), strict=True)), len(numbers[name]))
-        )
+        by_line = [*zip(lines, map(list, cells), strict=True)]
+        found.append({"name": name, "columns": [*shown], "rows": by_line, "of": len(numbers[name])})
     return found
 
 
@@ -120,10 +114,34 @@ Source = tuple[str, int, int]
 """Of a picture in a page: its address, and its width and height [px]."""
 
 
-def source(figure: Figure) -> Source:
+def source(figure: Drawing) -> Source:
     """A figure as a page contains it."""
     width, height = (round(96 * side) for side in figure.get_size_inches())
     return Markup(style.embedded(figure)), width, height
+
+
+class Figure(NamedTuple):
+    """A figure, where it belongs, and what the reader should see in it."""
+
+    name: str  # of its files
+    section: str
+    drawn: style.Drawn
+    caption: str
+    narrow: style.Drawn | None = None  # the same, for a phone
+
+
+def pictures(figures: Iterable[Figure]) -> dict[str, list[Source]]:
+    """Figures by their names, for a page and for a phone."""
+    return {one.name: [source(drawn.figure) for drawn in (one.drawn, one.narrow) if drawn] for one in figures}
+
+
+def files_of(figures: Iterable[Figure]) -> dict[str, bytes]:
+    """Figures as files."""
+    found: dict[str, bytes] = {}
+    for one in figures:
+        svg, png = style.save(one.drawn.figure)
+        found |= {f"figures/{one.name}.svg": svg, f"figures/{one.name}.png": png}
+    return found
 
 
 TEMPLATES = jinja2.Environment(

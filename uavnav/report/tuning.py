@@ -21,12 +21,12 @@ from uavnav.runs.definitions import SAMPLED
 from uavnav.runs.tables import RunError
 from uavnav.runs.trials import COLUMNS, DEFAULT, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED
 
-Table = pd.DataFrame
+ENDS = ["gap", "gap_low", "gap_high"]
 
 
 def read(
-    of: Sequence[Path], baselines: Mapping[str, Table]
-) -> tuple[dict[str, Table], Configurations, list[str]]:
+    of: Sequence[Path], baselines: Mapping[str, pd.DataFrame]
+) -> tuple[dict[str, pd.DataFrame], Configurations, list[str]]:
     """The tables of the first study that tuned, the winners' configurations, and lines for the unread.
 
     tuning: default, tuned and their difference, and the gap to the scripted policy; tuning_pairs: differences
@@ -61,7 +61,7 @@ def read(
     return tables, configurations[TUNED], left_out
 
 
-def so_far(trials: Table) -> pd.Series[float]:
+def so_far(trials: pd.DataFrame) -> pd.Series[float]:
     """The best value of an algorithm's trials until each; a trial that diverged changes nothing."""
     of_each = trials["algorithm"]
     best: pd.Series[float] = trials.groupby(of_each)["value"].cummax().groupby(of_each).ffill()
@@ -74,28 +74,27 @@ def _seeds(found: Configurations, algorithm: str) -> list[stats.Array]:
     return [one for one in own if len(one)]
 
 
+@frames.columns("algorithm", "settings", *frames.NUMBERS, *ENDS)
 def _compared(
-    configurations: Mapping[str, Configurations], baselines: Mapping[str, Table], algorithms: Sequence[str]
-) -> Table:
+    configurations: Mapping[str, Configurations],
+    baselines: Mapping[str, pd.DataFrame],
+    algorithms: Sequence[str],
+) -> frames.Rows:
     gaps = {which: frames.gaps(found, baselines) for which, found in configurations.items()}
-    ends = ["gap", "gap_low", "gap_high"]
-    rows = []
     for algorithm in algorithms:
         seeds = {which: _seeds(found, algorithm) for which, found in configurations.items()}
         for which, own in seeds.items():
-            gap = gaps[which].query("mode == 'sampled' and algorithm == @algorithm")[ends].to_numpy()
+            gap = gaps[which].query("mode == 'sampled' and algorithm == @algorithm")[ENDS].to_numpy()
             if own:
-                rows.append([algorithm, which, *stats.difference(own, []), *(*gap, [np.nan] * 3)[0]])
+                yield [algorithm, which, *stats.difference(own), *(*gap, [np.nan] * 3)[0]]
         if all(seeds.values()):
             difference = stats.difference(seeds[TUNED], seeds[DEFAULT])
-            rows.append([algorithm, DIFFERENCE, *difference, *[np.nan] * 3])
-    return pd.DataFrame(rows, columns=["algorithm", "settings", *frames.NUMBERS, *ends])
+            yield [algorithm, DIFFERENCE, *difference, *[np.nan] * 3]
 
 
-def _pairs(configurations: Mapping[str, Configurations], algorithms: Sequence[str]) -> Table:
-    rows = []
+@frames.columns("pair", "settings", *frames.NUMBERS)
+def _pairs(configurations: Mapping[str, Configurations], algorithms: Sequence[str]) -> frames.Rows:
     for which, found in configurations.items():
         of = {one: own[-1:] for one in algorithms if (own := _seeds(found, one))}
         for first, second in itertools.combinations(of, 2):
-            rows.append([f"{first} − {second}", which, *stats.difference(of[first], of[second])])
-    return pd.DataFrame(rows, columns=["pair", "settings", *frames.NUMBERS])
+            yield [f"{first} − {second}", which, *stats.difference(of[first], of[second])]

@@ -117,7 +117,7 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
         if part.beside:
             standings[..., place] = BESIDE
         elif one is None:
-            standings[..., place] = TOO_FEW if min(map(_size, samples[place])) else NO_RUNS
+            standings[..., place] = TOO_FEW if _seeds(samples[place]) else NO_RUNS
         if one is None:
             continue
         p_for, p_against = _p_values(part, one)
@@ -179,9 +179,6 @@ class Grade(NamedTuple):
     replicating: int
     counting: int
 
-    def __str__(self) -> str:
-        return f"{self.name} ({self.replicating} of {self.counting})" if self.name == IN_PART else self.name
-
 
 def grade(findings: Sequence[Finding]) -> Grade:
     """The grade of a claim from its parts."""
@@ -193,13 +190,14 @@ def grade(findings: Sequence[Finding]) -> Grade:
     return Grade(str(_grades(verdicts, standings)), replicating, counting)
 
 
-def _size(sample: Array) -> int:
-    return int(sample.shape[-1])
+def _seeds(samples: Sequence[Array]) -> int:
+    """The fewest of a configuration."""
+    return min(int(sample.shape[-1]) for sample in samples)
 
 
 def _contrasts(part: Part, samples: Sequence[Array]) -> Contrasts | None:
     """A part's contrasts [..., J]; None where a configuration has too few seeds."""
-    if min(map(_size, samples)) < SEEDS:
+    if _seeds(samples) < SEEDS:
         return None
     return stats.welch(samples, np.array(part.weights), part.paired)
 
@@ -259,7 +257,7 @@ def _finding(
     claim: Claim, place: int, samples: Sequence[Array], printed: Array, judged: Judgement, level: float
 ) -> Finding:
     part, found = claim.parts[place], _contrasts(claim.parts[place], samples)
-    own, n = _extreme(part, printed), min(map(_size, samples))
+    own, n = _extreme(part, printed), _seeds(samples)
     low = high = to_detect = to_equal = math.nan
     nearest, value = "", math.nan
     if n:

@@ -10,10 +10,9 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import pandas as pd
-
 from uavnav import stats
 from uavnav.report.claims import COMPARED, PAIR, Evidence
+from uavnav.report.frames import NUMBERS, Rows, columns
 
 Place = tuple[str, str, str]
 """Study, algorithm and activation, as `Evidence` takes them."""
@@ -149,12 +148,12 @@ QUESTIONS = (
 )
 
 
-def table(evidence: Evidence) -> pd.DataFrame:
-    """All that is drawn and said: columns question, row, metric, value, low, high, n.
+@columns("question", "row", "metric", *NUMBERS)
+def table(evidence: Evidence) -> Rows:
+    """All that is drawn and said.
 
     Rows without a seed are left out, and so are questions without a contrast.
     """
-    rows: list[list[object]] = []
 
     def of(places: Sequence[Place], metric: str) -> list[stats.Array]:
         return [evidence(which, activation, metric, study=study) for study, which, activation in places]
@@ -165,9 +164,8 @@ def table(evidence: Evidence) -> pd.DataFrame:
             for metric, name, first, second in one.contrasts
         ]
         drawn = [
-            [one.name, label, metric, *stats.difference(of([place], metric), [])]
+            [one.name, label, metric, *stats.difference(of([place], metric))]
             for (label, place), metric in itertools.product(one.rows.items(), one.metrics)
         ]
         if any(answer[-1] for answer in answers):
-            rows += [row for row in (*drawn, *answers) if row[-1]]
-    return pd.DataFrame(rows, columns=["question", "row", "metric", "value", "low", "high", "n"])
+            yield from (row for row in (*drawn, *answers) if row[-1])

@@ -18,6 +18,7 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.report.claims import ALL_WORLDS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
 from uavnav.report.configurations import apart, one_line, order, settings_of
+from uavnav.report.frames import Rows, columns
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
@@ -40,7 +41,6 @@ MEASURES = {
 LABELS = MEASURES | {name: one.label for name, one in OWN.items()}
 """Columns of a task's table."""
 
-Table = pd.DataFrame
 Key = tuple[str, str, str]
 """Task (with the preset where it is not the default), algorithm and activation."""
 
@@ -105,20 +105,20 @@ def _of_scripts(
     folders: Sequence[Path],
     names: Sequence[str],
     places: Mapping[str, Protocol | None],
-    seeds: Mapping[Key, Table],
-) -> tuple[dict[tuple[str, str], Table], dict[tuple[str, float], dict[str, Table]], list[str]]:
+    seeds: Mapping[Key, pd.DataFrame],
+) -> tuple[dict[tuple[str, str], pd.DataFrame], dict[tuple[str, float], dict[str, pd.DataFrame]], list[str]]:
     """What scripts reach in each task and on rungs that the paper's policies flew; lines for missing rows."""
     from uavnav.evaluation.scripts import rows_of_scripts
     from uavnav.tasks import ladders, layouts
 
     left_out: list[str] = []
 
-    def flown_as(protocol: Protocol) -> dict[str, Table]:
+    def flown_as(protocol: Protocol) -> dict[str, pd.DataFrame]:
         rows, unread = rows_of_scripts(folders, protocol)
         left_out.extend(unread)
         return {rule: measured(own, protocol.max_steps) for rule, own in rows.items()}
 
-    scripted: dict[tuple[str, str], Table] = {}
+    scripted: dict[tuple[str, str], pd.DataFrame] = {}
     rungs = {}
     for name in names:
         if (protocol := places[name]) is None:
@@ -254,9 +254,9 @@ class Evidence:
 # -- what a report shows -------------------------------------------------------------------------------------
 
 
-def summary(found: Worlds) -> pd.DataFrame:
-    """A row a world, configuration (or script) and measure: value, low, high and n, intervals over seeds."""
-    values = []
+@columns("world", "who", "metric", "value", "low", "high", "n")
+def summary(found: Worlds) -> Rows:
+    """A row a world, configuration (or script) and measure, with intervals over seeds."""
     everything = {
         (world, f"{algorithm.upper()} {activation}{' fast' * (world != _place(world))}"): table
         for (world, algorithm, activation), table in found.seeds.items()
@@ -267,17 +267,16 @@ def summary(found: Worlds) -> pd.DataFrame:
             if metric == "survival" and "success" in table:
                 continue
             one = stats.interval(table[metric].dropna().to_numpy())
-            values.append([_place(world), name, metric, *one[:3], one.n])
-    return pd.DataFrame(values, columns=["world", "who", "metric", "value", "low", "high", "n"])
+            yield [_place(world), name, metric, *one]
 
 
-def leaders(found: pd.DataFrame) -> pd.DataFrame:
+@columns("world", "best", "value", "low", "high", "script", "scripted", "ahead", "chance")
+def leaders(found: pd.DataFrame) -> Rows:
     """Who is ahead in each task by reward per episode, a row a task; found: of `summary`.
 
     A script is ahead if it is above every policy's interval, a policy if its interval is above every script.
     `chance` has the policies whose interval is not above a random policy's.
     """
-    rows = []
     rewards = found[found["metric"] == "reward"].sort_values("value", ascending=False, kind="stable")
     rewards = rewards.assign(top=rewards["high"].fillna(rewards["value"]))
     for world in found["world"].unique():
@@ -293,9 +292,7 @@ def leaders(found: pd.DataFrame) -> pd.DataFrame:
             ahead = "a policy"
         under = "; ".join(learned.loc[learned["low"] <= chance, "who"])
         numbers = best[["who", "value", "low", "high"]]
-        rows.append([world, *numbers, script["who"], script["value"], ahead, under])
-    columns = ["world", "best", "value", "low", "high", "script", "scripted", "ahead", "chance"]
-    return pd.DataFrame(rows, columns=columns)
+        yield [world, *numbers, script["who"], script["value"], ahead, under]
 
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
-from collections.abc import Collection, Iterator, Mapping, Sequence
-=======
-from collections.abc import Mapping, Sequence
->>>>>>> smaller-report
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,28 +58,15 @@ def flights(
             try:
                 run = Run(path, rows=False)
                 who = name(run.algorithm, run.config["activation"])
-<<<<<<< HEAD
                 mode = MODES[run.algorithm not in greedy]
-                found += [_flight(who, run, rows, rules) for rows in _episodes(run, mode)]
-=======
                 for file in run.evaluations():
                     rows = read_table(file, EVALUATED | {"mode": "object"}, "evaluate the run again")
-                    found.append(_flight(who, run, rows[rows["mode"] == MODES[1]], rules))
->>>>>>> smaller-report
+                    found.append(_flight(who, run, rows[rows["mode"] == mode], rules))
             except RunError as error:
                 left_out.append(one_line(error))
     return found, left_out
 
 
-<<<<<<< HEAD
-def _episodes(run: Run, mode: str) -> Iterator[pd.DataFrame]:
-    for path in run.evaluations():
-        rows = read_table(path, EVALUATED | {"mode": "object"}, "evaluate the run again")
-        yield rows[rows["mode"] == mode]
-
-
-=======
->>>>>>> smaller-report
 def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:
     said = {str(key): value for key, value in rows.attrs.items()}
     task = run.config["task"] if run else TASK_NAMES[0]

@@ -382,7 +382,7 @@ def _make_study(folder):
         )
     for job in configuration.out.glob("workers/*.job"):
         told = json.loads(job.read_text()) | {
-            "evaluation": configuration.evaluation,
+            "evaluation": configuration.flights[0].header(),
             "folder": ".",
             "how": {},
         }

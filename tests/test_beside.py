@@ -179,10 +179,10 @@ def test_what_the_workers_of_a_configuration_leave_is_joined_to_what_one_evaluat
             (tmp_path / str(seed)).mkdir(exist_ok=True)
             write_table(tmp_path / str(seed) / name, part)
     (tmp_path / "configuration").mkdir()
-    _join_episodes(Configuration(dqn.DQNConfig(), tmp_path / "configuration", None), folders)
+    _join_episodes(Configuration(dqn.DQNConfig(), tmp_path / "configuration"), folders)
     for name, table in whole.items():
         pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "configuration" / name), table)
     (folders[1] / VALUES).unlink()
     (tmp_path / "configuration" / VALUES).unlink()
-    _join_episodes(Configuration(dqn.DQNConfig(), tmp_path / "configuration", None), folders)
+    _join_episodes(Configuration(dqn.DQNConfig(), tmp_path / "configuration"), folders)
     assert not (tmp_path / "configuration" / VALUES).exists()  # of seed 4 alone

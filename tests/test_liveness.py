@@ -16,6 +16,7 @@ import pytest
 
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import worker
+from uavnav.evaluation import Protocol
 from uavnav.evaluation.verify import _parting as parting
 from uavnav.runs import PROGRESS, STOP, Run, progress
 from uavnav.runs.tables import RunError
@@ -38,7 +39,7 @@ CONFIG = PPOConfig(
     hidden=(8,),
     compile="off",
 )
-FLOWN = {"episodes": 2, "max_steps": 20}
+FLOWN = Protocol(episodes=2, max_steps=20)
 
 
 class Engine(Local):
@@ -100,10 +101,10 @@ def study(tmp_path, warm):
     """Carries one configuration out on an engine; gives the configurations that failed and what was said."""
     engines = []
 
-    def carry_out(engine, config=CONFIG, evaluation=FLOWN, **how):
+    def carry_out(engine, config=CONFIG, flights=(FLOWN,), **how):
         engines.append(engine)
         said = []
-        configuration = Configuration(config, tmp_path / "out" / "ppo" / "tanh", evaluation)
+        configuration = Configuration(config, tmp_path / "out" / "ppo" / "tanh", flights)
         failed = Runner(tmp_path / "out", [configuration], engine, say=said.append, **how).run()
         return failed, said
 
@@ -174,7 +175,7 @@ def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_sn
 
     engine = Stopped()
     config = CONFIG.replace(total_frames=20_480)
-    failed, said = study(engine, config, None, seeds_per_worker=2, checkpoint_seconds=0)
+    failed, said = study(engine, config, (), seeds_per_worker=2, checkpoint_seconds=0)
     assert (failed, engine.given) == ([], 2)
     assert any("has been silent for 12 s and counts as dead" in line for line in said)
     assert any("its job is gone; given again, from its last snapshot" in line for line in said)
@@ -215,7 +216,7 @@ def test_a_job_that_an_engine_does_not_begin_is_given_again_as_often_as_needed(s
         return self.file("log").exists() or engine.free
 
     monkeypatch.setattr(run.Job, "begun", property(begin))
-    failed, said = study(engine, seeds_per_worker=2, evaluation=None)
+    failed, said = study(engine, seeds_per_worker=2, flights=())
     assert (failed, engine.given) == ([], 2 + run.ATTEMPTS)
     assert sum("has not begun for" in line for line in said) == 1 + run.ATTEMPTS
 
@@ -227,7 +228,7 @@ def test_a_job_that_an_engine_does_not_begin_is_given_again_as_often_as_needed(s
 def test_a_study_says_what_it_waits_for_and_does_not_wait_without_end(engine, waits, tmp_path, monkeypatch):
     impatient(monkeypatch)
     said = []
-    configuration = Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    configuration = Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh")
     with pytest.raises(
         RunError, match=f"no job has lived for 1 s, {waits}; engine=.* has . slots; the same command"
     ):
@@ -259,7 +260,7 @@ def test_a_job_that_lingers_after_its_last_words_is_ended_and_gives_its_place_fr
         def cancel(self, job):
             self.cancelled.append(job)
 
-    engine, configuration = Lingers(), Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    engine, configuration = Lingers(), Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh")
     carried = Runner(tmp_path / "out", [configuration], engine)
     before, now = (run.Job(run.Work(configuration), None, handle=name) for name in ("before", "now"))
     carried._leaving = [(time.monotonic() - run.SILENT_SECONDS - 1, before), (time.monotonic(), now)]
@@ -279,7 +280,7 @@ def test_an_engine_that_is_slow_now_and_then_ends_no_job(study, monkeypatch):
 
     impatient(monkeypatch, ANSWER=6.0, IDLE=60.0)
     engine = Slow()
-    failed, said = study(engine, seeds_per_worker=2, evaluation=None)
+    failed, said = study(engine, seeds_per_worker=2, flights=())
     assert (failed, engine.given) == ([], 1)
     assert len(said) == 1
 
@@ -310,7 +311,7 @@ def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatc
 
     impatient(monkeypatch, SAY=0.2, CHECK=0.7)
     said = []
-    configuration = Configuration(CONFIG, Path("unused"), None)
+    configuration = Configuration(CONFIG, Path("unused"))
     monkeypatch.setattr(run.Recorder, "__init__", lambda *anything: None)
     with pytest.raises(RunError, match="engine=queue: does not answer for 1 s; the same command goes on"):
         Runner(Path("unused"), [configuration], Queue(), say=said.append)._check_engine()
@@ -324,7 +325,7 @@ def test_a_heart_beats_counts_as_stuck_after_4_hours_where_frames_are_missing_an
 ):
     clock, cancelled = [0.0], []
     monkeypatch.setattr(run.time, "monotonic", lambda: clock[0])
-    configuration = Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    configuration = Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh")
     carried = Runner(tmp_path / "out", [configuration], NeverBegins(), say=lambda told: None)
     monkeypatch.setattr(carried.engine, "cancel", cancelled.append)
     job = run.Job(run.Work(configuration), workers.Worker(tmp_path / "0.1", CONFIG))
@@ -370,7 +371,7 @@ def test_a_heart_feels_that_its_folder_is_gone_and_sees_a_stop(tmp_path, monkeyp
 
 
 def test_silence_is_measured_by_whoever_listens_whatever_the_clock_of_the_worker_says(tmp_path, monkeypatch):
-    configuration = Configuration(CONFIG, tmp_path, None)
+    configuration = Configuration(CONFIG, tmp_path)
     job = run.Job(run.Work(configuration), None)
     now = [100.0]
     monkeypatch.setattr(run.time, "monotonic", lambda: now[0])
@@ -402,7 +403,7 @@ def test_the_heart_of_a_worker_beats_while_it_flies(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(worker, "STOPS", ())
     own = workers.Worker(tmp_path / "0", CONFIG)
-    worker.main(own.prepare(1, FLOWN))
+    worker.main(own.prepare(1, FLOWN.header()))
     assert own.last_words() == {"finished": CONFIG.frames}
     (told,) = seen
     assert (told["frames"], told["total"]) == (CONFIG.frames, CONFIG.frames)
@@ -420,7 +421,7 @@ def test_a_worker_whose_episodes_fail_says_why(problem, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(worker, "STOPS", ())
     own = workers.Worker(tmp_path / "0", CONFIG)
-    worker.main(own.prepare(1, FLOWN))
+    worker.main(own.prepare(1, FLOWN.header()))
     assert own.last_words()["error"] == str(problem)
     assert not own.last_words().get("diverged")
 

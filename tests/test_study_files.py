@@ -16,6 +16,7 @@ from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
 from uavnav.cli.study import parse, scripted, status
 from uavnav.errors import ConfigError
+from uavnav.evaluation import Protocol
 from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import draws, search
 from uavnav.studies.run import evaluated, unflown
@@ -54,7 +55,7 @@ def test_lists_stand_for_a_configuration_each_in_all_combinations(tmp_path):
     assert [getattr(configuration.config, "learning_starts", None) for configuration in found] == [
         None
     ] * 4 + [1000] * 4
-    assert found[0].evaluation == {"episodes": 200, "max_steps": 10_000}
+    assert found[0].flights == (Protocol("test", 200, 10_000),)
 
 
 def test_seeds_and_frames_of_the_command_line_hold_for_every_configuration(tmp_path):
@@ -72,7 +73,7 @@ def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladder
     )
     mine = mine.replace("world.slots: listed", "layouts: density-4/train, faults.noise: 5")
     configuration = studies.configurations(studies.read(written(tmp_path, mine)), tmp_path)[0]
-    assert configuration.evaluation == {"episodes": 5, "max_steps": 9, "layouts": "density-4/test"}
+    assert configuration.flights == (Protocol("density-4/test", 5, 9),)
     assert configuration.config.faults.noise == 5
     bounds = ["--episodes", "5", "--max-steps", "9"]
     own = ["--layouts", "density-4/test", *bounds]
@@ -82,15 +83,15 @@ def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladder
     assert unflown(configuration) == [[*bounds, "--alone", "--across", "arc"]]
     put(configuration.out / "across-arc-5-9.parquet", "")
     assert evaluated(configuration)
-    assert unflown(configuration._replace(evaluation=None)) == []
+    assert unflown(configuration._replace(flights=())) == []
 
 
 @pytest.mark.parametrize(
     ("said", "flown"),
     [
-        ("true", {"episodes": 200, "max_steps": 1000}),
-        ("{episodes: 5}", {"episodes": 5, "max_steps": 1000}),
-        ("{max_steps: 3000}", {"episodes": 200, "max_steps": 3000}),
+        ("true", Protocol(episodes=200, max_steps=1000)),
+        ("{episodes: 5}", Protocol(episodes=5, max_steps=1000)),
+        ("{max_steps: 3000}", Protocol(episodes=200, max_steps=3000)),
     ],
 )
 def test_a_configuration_with_a_goal_is_flown_for_1000_steps_unless_its_study_says_another_cap(
@@ -98,9 +99,9 @@ def test_a_configuration_with_a_goal_is_flown_for_1000_steps_unless_its_study_sa
 ):
     text = f"configurations: [{{algorithm: ppo, task: goal, evaluate: {said}}}]"
     (configuration,) = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
-    assert configuration.evaluation == flown
+    assert configuration.flights == (flown,)
     (words,) = scripted([configuration], tmp_path)
-    assert words[words.index("--max-steps") + 1] == str(flown["max_steps"])
+    assert words[words.index("--max-steps") + 1] == str(flown.max_steps)
 
 
 def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scripted_policies(tmp_path):
@@ -116,7 +117,8 @@ def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scrip
     study = studies.read(written(tmp_path, text))
     found = studies.configurations(study, tmp_path)
     bounds = ["--episodes", "5", "--max-steps", "9"]
-    assert unflown(found[0]) == [[*bounds, "--measures"], [*bounds, "--shield", "--measures"]]
+    flown = ["--layouts", "test", *bounds]
+    assert unflown(found[0]) == [[*flown, "--measures"], [*flown, "--shield", "--measures"]]
     put(found[0].out / "evaluation-test-5-9.parquet", "")
     put(found[0].out / "evaluation-test-5-9-shielded.parquet", "")
     assert evaluated(found[0])
@@ -150,7 +152,7 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
     worlds = {(one.config.task, str(one.config.layouts), str(one.config.faults)) for one in found}
     assert len(found) == len(worlds) * 2 * (5 + 2) + 2 * 2  # and SAC in two
     assert {one.config.total_frames for one in found} == {500_000}
-    assert {one.evaluation["max_steps"] for one in found if one.config.task == "goal"} == {1000}
+    assert {one.flights[0].max_steps for one in found if one.config.task == "goal"} == {1000}
     assert {one.across for one in found if one.config.layouts == "train" and one.config.task == "drone"} == {
         (),
         ("density", "slalom"),
@@ -175,10 +177,7 @@ def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configuration
     assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted(configurations, tmp_path)
     put(tmp_path / "random-goal-test-200-1000.parquet", "")
     assert len(scripted(configurations, tmp_path)) == 24
-    assert (
-        scripted([configuration._replace(evaluation=None) for configuration in configurations], tmp_path)
-        == []
-    )
+    assert scripted([configuration._replace(flights=()) for configuration in configurations], tmp_path) == []
 
 
 @pytest.mark.parametrize("name", studies.names())

@@ -19,6 +19,7 @@ from uavnav import studies
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import commands, study, worker
 from uavnav.errors import ConfigError
+from uavnav.evaluation import Protocol
 from uavnav.runs import trials
 from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
@@ -278,7 +279,7 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
         200_000,
     )
     configuration = found.trial("sac", 0, {})
-    assert configuration.evaluation == {"episodes": 100, "max_steps": 2000, "layouts": "validation"}
+    assert configuration.flights == (Protocol("validation", 100, 2000),)
     ranges = {}
     for algorithm, setting in ((a, s) for a in found.algorithms for s in found.said["space"][a]):
         ranges.setdefault(setting, []).append(found.range(algorithm, setting))

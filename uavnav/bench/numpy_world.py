@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from torch import Tensor
 
-from uavnav.envs.gym import observation_space, pick
+from uavnav.envs.gym import chosen_layouts, observation_space
 from uavnav.tasks.seeding import places
 from uavnav.tasks.sensing import VIEW_TOLERANCE
 from uavnav.tasks.state import UP
@@ -64,7 +64,8 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
             following = int(places([first], 1, len(self.layouts), "cpu"))
         else:
             following = (self._layout + 1) % len(self.layouts)
-        self._layout = int(pick((options or {}).get("layout", following), (), len(self.layouts)))
+        chosen = chosen_layouts(options, (), len(self.layouts))
+        self._layout = following if chosen is None else int(chosen)
         circles = self.layouts[self._layout]
         self._lower[: len(circles)] = self._upper[: len(circles)] = circles[:, :2]
         self._radius[: len(circles)] = circles[:, 2]

@@ -100,7 +100,6 @@ def _say_at_once(given: argparse.Namespace) -> None:
 
 
 def _as_option(error: Exception) -> str:
-    """An error's line as a command says it."""
     return re.sub("^plugins=", "--plugins ", str(error)).replace("activation=...", "--activation")
 
 
@@ -210,21 +209,17 @@ def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser)
 def _algorithms() -> str:
     """The help of `uavnav train` without an algorithm: the algorithms, each with its first line."""
     width = max(map(len, ALGORITHMS))
-    lines = [
-        "usage: uavnav train ALGORITHM [KEY=VALUE ...] [-m] [--cfg job] [--quiet] [--json]",
-        "",
-        f"{TRAIN.what}",
-        "",
-    ]
-    for name in ALGORITHMS:
-        title = texts.text_of(name).read_text(encoding="utf-8").splitlines()[2]
-        lines.append(f"  {name:{width}}  {title}")
-    lines += [
-        "",
-        "uavnav train ALGORITHM --help says what each key means.",
-        "An algorithm of your own: plugins=my_module",
-    ]
-    return "\n".join(lines) + "\n"
+    titles = {name: texts.text_of(name).read_text(encoding="utf-8").splitlines()[2] for name in ALGORITHMS}
+    each = "\n".join(f"  {name:{width}}  {title}" for name, title in titles.items())
+    return f"""usage: uavnav train ALGORITHM [KEY=VALUE ...] [-m] [--cfg job] [--quiet] [--json]
+
+{TRAIN.what}
+
+{each}
+
+uavnav train ALGORITHM --help says what each key means.
+An algorithm of your own: plugins=my_module
+"""
 
 
 STUDY_KEYS = {
@@ -248,11 +243,8 @@ STUDY_KEYS = {
 # -- the arguments of each command ---------------------------------------------------------------------------
 
 
-class Option(NamedTuple):
-    """An argument of a command, as argparse takes it."""
-
-    names: tuple[str, ...]
-    how: dict[str, Any]
+Option = tuple[tuple[str, ...], dict[str, Any]]
+"""The names of an argument of a command, and how argparse takes it."""
 
 
 class Usage(NamedTuple):
@@ -263,24 +255,19 @@ class Usage(NamedTuple):
     options: Sequence[Option | list[Option]]
 
     def add_to(self, parser: Parser) -> None:
-        """Give a parser the arguments."""
         parser.epilog = f"example: uavnav {self.example}" if self.example else None
         for one in self.options:
             place = parser.add_mutually_exclusive_group() if isinstance(one, list) else parser
-            for option in one if isinstance(one, list) else [one]:
-                place.add_argument(*option.names, **option.how)
+            for names, how in one if isinstance(one, list) else [one]:
+                place.add_argument(*names, **how)
 
 
 def _flag(name: str, told: str) -> Option:
-    return Option((name,), {"action": "store_true", "help": told})
+    return (name,), {"action": "store_true", "help": told}
 
 
 def _value(name: str, told: str | None = None, **how: Any) -> Option:
-    return Option((name,), {"help": told, **how})
-
-
-def _modules(names: str) -> list[str]:
-    return [name.strip() for name in names.split(",")]
+    return (name,), {"help": told, **how}
 
 
 TASKS = ", ".join(TASK_NAMES)
@@ -314,7 +301,7 @@ JSON = _flag("--json", "print the table as JSON, and nothing else")
 PLUGINS = _value(
     "--plugins",
     "modules of your own that a run was made with; they are imported",
-    type=_modules,
+    type=lambda names: [name.strip() for name in names.split(",")],
     default=[],
     metavar="NAME,...",
 )
@@ -337,8 +324,8 @@ TRAIN = Usage(
     "",
     [
         _value("words", nargs="*"),
-        Option(("--multirun", "-m"), {"action": "store_true"}),
-        Option(("--cfg", "-c"), {"choices": ["job"]}),
+        (("--multirun", "-m"), {"action": "store_true"}),
+        (("--cfg", "-c"), {"choices": ["job"]}),
         *(_value(flag, action="store_true") for flag in ("--quiet", "--json")),
     ],
 )

@@ -1,4 +1,4 @@
-"""`uavnav compare`: runs, zips of Stable-Baselines3 and scripted policies, side by side."""
+"""`uavnav compare`: runs, zips of Stable-Baselines3 and scripted policies, in text and as a page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from uavnav.runs.tables import records, write
 
 
 def main(arguments: Namespace) -> int:
-    """Print intervals and probabilities, and write a page with curves where `--out` asks for one."""
     if arguments.activation:
         from uavnav.runs import policies  # brings torch
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
 from uavnav.evaluation.across import Flyer, across, of_policy, of_run
-from uavnav.evaluation.scripts import task_of
+from uavnav.evaluation.scripts import option, task_of
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies, shipped
@@ -26,6 +26,13 @@ from uavnav.tasks.task import Task
 
 MOST_SEEDS = 1_000
 """Of a scripted policy."""
+OF_ONE_SPLIT = {
+    "faults": (None, "ladders and tasks of training have their own"),
+    "shield": (False, "only on the layouts of one split"),
+    "measures": (False, "only on the layouts of one split"),
+    "layouts": ("test", "--across and --transfer fly on test layouts of their own"),
+}
+"""Options that go neither with --across nor with --transfer: the default, and why."""
 
 
 def _found(name: str, arguments: Namespace) -> Run | Flyer:
@@ -54,15 +61,9 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
         raise ConfigError("--alone: only --across adds scripted policies; leave it out")
     if arguments.at is not None and (elsewhere or not all(isinstance(one, Run) for one in found.values())):
         raise ConfigError(f"--at {arguments.at:g}: only runs keep policies, for one split; leave it out")
-    if elsewhere and arguments.faults is not None:
-        told = "ladders and tasks of training have their own"
-        raise ConfigError(f"--faults {arguments.faults}: {told}; leave it out")
-    for name in ("shield", "measures"):
-        if elsewhere and getattr(arguments, name):
-            raise ConfigError(f"--{name}: only on the layouts of one split; leave it out")
-    if elsewhere and arguments.layouts != "test":
-        told = "--across and --transfer fly on test layouts of their own"
-        raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
+    for name, (usual, why) in OF_ONE_SPLIT.items():
+        if elsewhere and (given := getattr(arguments, name)) != usual:
+            raise ConfigError(f"{' '.join(option(name, given))}: {why}; leave it out")
     if arguments.transfer and arguments.task != "drone":
         told = "--transfer flies in the tasks of the runs"
         raise ConfigError(f"--task {arguments.task}: {told}; leave it out")

@@ -9,7 +9,6 @@ from uavnav.runs.policies import load_policy, zips
 
 
 def main(arguments: Namespace) -> int:
-    """Write one policy, and say what its file takes and gives."""
     zips([arguments.run], arguments.activation)
     policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
     path = export_policy(policy, arguments.out)

@@ -25,7 +25,6 @@ ROWS = Path("runs/baselines/human.parquet")
 
 
 def main(arguments: Namespace) -> int:
-    """Write the page and open it; with --keep, keep the rows of a file that the page saved."""
     if arguments.person < 0:
         raise ConfigError(f"--person {arguments.person}: give at least 0")
     if arguments.keep:

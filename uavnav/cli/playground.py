@@ -15,7 +15,6 @@ NAME = "playground.html"
 
 
 def main(arguments: Namespace) -> int:
-    """Write the page with the policies of some folders, and say which were left out."""
     if arguments.out:
         files.check_out(arguments.out)
     flyers = collect(arguments.folders or usual())

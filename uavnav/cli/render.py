@@ -15,7 +15,6 @@ from uavnav.views.render import MOST_FLOWN, WIDTHS, Film, check_picture, fly, lo
 
 
 def main(arguments: Namespace) -> int:
-    """Draw episodes of policies on the same layout, side by side, as MP4 or GIF, or their trails as PNG."""
     for option, number in (("steps", arguments.steps), ("every", arguments.every)):
         if not 1 <= number <= MOST_FLOWN:
             raise ConfigError(f"--{option} {number}: give at least 1 and at most {MOST_FLOWN:,}")

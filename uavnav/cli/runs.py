@@ -8,10 +8,11 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
+import operator
 import os
 import time
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -127,15 +128,11 @@ def thousands(frames: int) -> str:
     return f"{frames // 1000:,}k" if frames >= 1000 else str(frames)
 
 
-def order(column: str) -> Callable[[Mapping[str, Any]], tuple[bool, Any]]:
-    """The key to sort by: frames and rewards fall, all else rises; what is not known comes last."""
-
-    def key(one: Mapping[str, Any]) -> tuple[bool, Any]:
-        value = one[column]
-        falling = column in ("frames", *MEANS)
-        return value is None, "" if value is None else -value if falling else value
-
-    return key
+def in_order(rows: Sequence[dict[str, Any]], column: str) -> list[dict[str, Any]]:
+    """Runs sorted by a column: frames and rewards fall, all else rises; what is not known comes last."""
+    known = [one for one in rows if one[column] is not None]
+    known.sort(key=operator.itemgetter(column), reverse=column in ("frames", *MEANS))
+    return known + [one for one in rows if one[column] is None]
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
@@ -173,11 +170,10 @@ def found(given: Namespace, tell: bool) -> list[dict[str, Any]]:
             if tell:
                 complain("runs", f"left out: {error}")
     rows += [] if given.folders else shipped.rows()
-    return sorted(rows, key=order(given.sort)) if given.sort else rows
+    return in_order(rows, given.sort) if given.sort else rows
 
 
 def main(arguments: Namespace) -> int:
-    """List the runs of some folders: what each is, how far it is, and what it reached."""
     rows = found(arguments, tell=True)
     if arguments.json:
         print(json.dumps(rows, indent=2))

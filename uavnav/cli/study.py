@@ -27,7 +27,6 @@ from uavnav.settings import AtLeast0, Count, Settings, key
 from uavnav.studies import Configuration, draws, engines, search, tuning
 from uavnav.studies.run import Runner, Work, evaluated, let_go, make_layouts, trained
 from uavnav.tasks import ladders, layouts
-from uavnav.tasks.faults import from_option
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.protocol import USUAL
 from uavnav.tasks.table import EMPTY, make_task
@@ -137,7 +136,6 @@ class Show:
 
 
 def main(arguments: Namespace) -> int:
-    """Train, evaluate and report the configurations of a study, or say what there is of it."""
     own, of_engine = parse(arguments.settings)
     study = studies.only(studies.read(arguments.name), own.algorithms)
     out = Path(own.out or Path("runs") / study.name)
@@ -211,13 +209,11 @@ def scripted(
         own, flights = configuration.config, configuration.flights
         climbed = [name for name in layouts.RUNGS if name in configuration.across]
         rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
-        flights += [flights[0] | {studies.LAYOUTS: rung} for rung in rungs]
-        for flown in flights:
-            faults = from_option(flown.get(studies.FAULTS)) or own.faults
+        for flown in (*flights, *(flights[0]._replace(layouts=rung) for rung in rungs)):
+            faults = flown.faults or own.faults
             task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
-            bounds = {key: flown[key] for key in studies.PROTOCOL}
-            bounds |= {"shield": flown.get(studies.SHIELD, False)}
-            protocol = scripts.protocol_in(task, flown.get(studies.LAYOUTS, "test"), **bounds)
+            where = str(flown.layouts), flown.episodes, flown.max_steps, flown.shield
+            protocol = scripts.protocol_in(task, *where)
             wanted[protocol] = ["--measures"] * configuration.measures
     return [
         [*scripts.words(rules, folder, one), *more]

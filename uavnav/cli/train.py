@@ -235,7 +235,6 @@ def _check(orders: Sequence[Order]) -> None:
 
 
 def _train(order: Order, quiet: bool, fit: Fit) -> Run:
-    """Train, show the table, and fly the test split."""
     config, out, command = order
     how = {name: getattr(command, name) for name in ("overwrite", "checkpoint_seconds", "logger")}
     finished = train(config, out=out, quiet=quiet, fit=fit, **how)

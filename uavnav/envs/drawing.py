@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ STEPS_PER_SECOND = 30
 """The simulation's own rate."""
 SMOOTHING = 2  # drawn so many times larger, then scaled down
 BETWEEN = 8  # the two views of a box [px]
+DOT = 4  # radius of a point that is sensed, in a box one more [px]
 VIEWS = {"from above": (0, 1, 2), "from the side": (0, 2, 1)}
 """The axes of a box that a view shows to the right and upwards, and the axis that it looks along."""
 
@@ -40,7 +41,8 @@ VIEWS = {"from above": (0, 1, 2), "from the side": (0, 2, 1)}
 def draw_state(state: State, task: WrappedTask) -> Picture:
     """One row's state, without a batch, at the world's own size [height, width, 3]; see `draw_arena`."""
     world = task.world
-    return np.asarray(draw_arena(state, task, 2 * world.width + BETWEEN if _is_box(world) else world.width))
+    is_box = isinstance(world, SpaceWorld)
+    return np.asarray(draw_arena(state, task, 2 * world.width + BETWEEN if is_box else world.width))
 
 
 def draw_arena(
@@ -52,22 +54,16 @@ def draw_arena(
     state: fields without a batch; width: of the picture [px]; trails: under the drone. A box is drawn as
     `draw_views` does.
     """
-    if _is_box(task.world):
+    if isinstance(task.world, SpaceWorld):
         return draw_views(state, task, width, trails, colour)
     world, obstacles = task.world, task.obstacles(state)
     found, _ = task.sense(state)
-    x, y, heading = float(state.x), float(state.y), int(state.heading)
+    x, y = float(state.x), float(state.y)
     image = _backdrop(tuple(map(tuple, obstacles.tolist())), world, width).copy()
-    canvas = ImageDraw.Draw(image, "RGBA")
-    at, disc = _places(world, width)
-    thickness = max(1, round(SMOOTHING * width / world.width))
+    canvas = Canvas(image, world)
     for mark in task.marks(state).tolist():
-        canvas.ellipse(disc(*mark), outline=GOAL, width=2 * thickness)
-    for points, line in trails:
-        if len(points) > 1:
-            canvas.line([at(*point[:2]) for point in points], fill=line, width=thickness + SMOOTHING)
-    half = world.sensor_arc / 2
-    canvas.pieslice(disc(x, y, world.sensor_radius), -heading - half, -heading + half, fill=SENSOR)
+        canvas.draw.ellipse(canvas.disc(*mark), outline=GOAL, width=2 * canvas.thickness)
+    canvas.trails(trails, (0, 1))
     cosine, sine = (float(part) for part in direction(state.heading))
     sensed = []
     reached = found.distance.clamp(min=world.drone_radius)
@@ -75,12 +71,7 @@ def draw_arena(
         if reach < math.inf:
             dx, dy = right * sine + forward * cosine, forward * sine - right * cosine
             sensed.append((x + reach * dx, y + reach * dy))
-            canvas.line([at(x, y), at(*sensed[-1])], fill=(*SENSED, 110), width=thickness)
-    canvas.ellipse(disc(x, y, world.drone_radius), fill=colour)
-    nose = at(x + world.drone_radius * cosine, y + world.drone_radius * sine)
-    canvas.line([at(x, y), nose], fill=GROUND, width=3 * thickness)
-    for point in sensed:
-        canvas.ellipse(disc(*point, 4), fill=SENSED)
+    canvas.drone((x, y), (cosine, sine), int(state.heading), sensed, DOT, colour)
     return image.reduce(SMOOTHING)
 
 
@@ -100,40 +91,26 @@ def draw_views(
     filled = found.distance < math.inf
     directions, reach = found.numbers[:3, filled].T, found.distance[filled].clamp(min=world.drone_radius)
     sensed = (torch.tensor(place) + reach[:, None] * (directions @ frame)).tolist()
-    half = world.sensor_arc / 2
     image = Image.new("RGB", (width, height_of(width, world)), GROUND)
     for number, (title, (right, up, along)) in enumerate(VIEWS.items()):
-        size = _view(width), round(_view(width) * world.size[up] / world.width)
+        size = (width - BETWEEN) // 2, round((width - BETWEEN) // 2 * world.size[up] / world.width)
         view = Image.new("RGB", (size[0] * SMOOTHING, size[1] * SMOOTHING), GROUND)
-        canvas, (at, disc) = ImageDraw.Draw(view, "RGBA"), _placed(size[0] / world.width, size[1])
-        thickness = max(1, round(SMOOTHING * size[0] / world.width))
+        canvas = Canvas(view, world)
         slices = []
         for *centre, radius in obstacles.tolist():
             away = abs(centre[along] - place[along])
             touches = away < radius + world.drone_radius
-            canvas.ellipse(disc(centre[right], centre[up], radius), fill=(*OBSTACLE, 90 if touches else 28))
+            canvas.circle(centre[right], centre[up], radius, (*OBSTACLE, 90 if touches else 28))
             if away < radius:
-                slices.append(disc(centre[right], centre[up], math.sqrt(radius**2 - away**2)))
+                slices.append((centre[right], centre[up], math.sqrt(radius**2 - away**2)))
         for one in slices:
-            canvas.ellipse(one, fill=OBSTACLE)
-        _frame(canvas, at, world.width, world.size[up], world.border)
-        for points, line in trails:
-            if len(points) > 1:
-                shown = [at(point[right], point[up]) for point in points]
-                canvas.line(shown, fill=line, width=thickness + SMOOTHING)
-        x, y, nose = place[right], place[up], (forward[right], forward[up])
-        if math.hypot(*nose) > 1e-6:
-            heading = math.degrees(math.atan2(nose[1], nose[0]))
-            canvas.pieslice(disc(x, y, world.sensor_radius), -heading - half, -heading + half, fill=SENSOR)
-        else:  # it looks along the view
-            canvas.ellipse(disc(x, y, world.sensor_radius), fill=SENSOR)
-        for point in sensed:
-            canvas.line([at(x, y), at(point[right], point[up])], fill=(*SENSED, 110), width=thickness)
-        canvas.ellipse(disc(x, y, world.drone_radius), fill=colour)
-        tip = at(x + world.drone_radius * nose[0], y + world.drone_radius * nose[1])
-        canvas.line([at(x, y), tip], fill=GROUND, width=3 * thickness)
-        for point in sensed:
-            canvas.ellipse(disc(point[right], point[up], 5), fill=SENSED)
+            canvas.circle(*one, OBSTACLE)
+        canvas.walls(world.size[up])
+        canvas.trails(trails, (right, up))
+        here, *seen = ((point[right], point[up]) for point in (place, *sensed))
+        nose = forward[right], forward[up]
+        heading = math.degrees(math.atan2(nose[1], nose[0])) if math.hypot(*nose) > 1e-6 else None
+        canvas.drone(here, nose, heading, seen, DOT + 1, colour)
         small = view.reduce(SMOOTHING)
         face, corner = font(max(8, size[0] // 30)), round(size[0] * world.border / world.width) + 3
         label = ImageDraw.Draw(small)
@@ -144,70 +121,91 @@ def draw_views(
     return image
 
 
-def _is_box(world: World) -> bool:
-    return isinstance(world, SpaceWorld)
-
-
-def _view(width: int) -> int:
-    """Width of one of a box's two views [px]."""
-    return (width - BETWEEN) // 2
-
-
 def height_of(width: int, world: World) -> int:
     """Height of a picture of the arena [px]."""
-    if _is_box(world):
-        return round(_view(width) * max(world.size[1:]) / world.width)
+    if isinstance(world, SpaceWorld):
+        return round((width - BETWEEN) // 2 * max(world.size[1:]) / world.width)
     return round(width * world.height / world.width)
 
 
-Point = Callable[[float, float], tuple[float, float]]
-Disc = Callable[[float, float, float], tuple[float, float, float, float]]
+class Canvas:
+    """Draws on an enlarged picture in px of the world, from edge to edge. Only here is y flipped."""
 
+    def __init__(self, image: Image.Image, world: World) -> None:
+        self.draw, self.world = ImageDraw.Draw(image, "RGBA"), world
+        self._scale, self._height = image.width / world.width, image.height
+        self.thickness = max(1, round(self._scale))  # of a line, in the enlarged picture
 
-def _places(world: World, width: int) -> tuple[Point, Disc]:
-    """Where a place of the world, or a disc, is in the enlarged picture. Only here is y flipped."""
-    return _placed(width / world.width, height_of(width, world))
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """Where a place of the world is in the enlarged picture."""
+        return x * self._scale, self._height - y * self._scale
 
+    def disc(self, x: float, y: float, radius: float) -> tuple[float, float, float, float]:
+        """The left, upper, right and lower end of a disc there."""
+        return *self.at(x - radius, y + radius), *self.at(x + radius, y - radius)
 
-def _placed(scale: float, height: int) -> tuple[Point, Disc]:
-    """The same by the scale and the height [px] of the picture before it is enlarged."""
-    scale, height = SMOOTHING * scale, SMOOTHING * height
+    def circle(self, x: float, y: float, radius: float, fill: Ink) -> None:
+        self.draw.ellipse(self.disc(x, y, radius), fill=fill)
 
-    def at(x: float, y: float) -> tuple[float, float]:
-        return x * scale, height - y * scale
+    def rectangle(self, left: float, bottom: float, right: float, top: float, outline: Ink | None) -> None:
+        self.draw.rectangle((*self.at(left, top), *self.at(right, bottom)), fill=BORDER, outline=outline)
 
-    def disc(x: float, y: float, radius: float) -> tuple[float, float, float, float]:
-        return *at(x - radius, y + radius), *at(x + radius, y - radius)
+    def walls(self, height: float) -> None:
+        """The border of a view of so many px, without squares."""
+        width, side = self.world.width, self.world.border
+        for bottom in (0, height - side):
+            self.rectangle(0, bottom, width, bottom + side, None)
+        for left in (0, width - side):
+            self.rectangle(left, 0, left + side, height, None)
 
-    return at, disc
+    def trails(self, trails: Sequence[Trail], axes: tuple[int, int]) -> None:
+        """Lines; axes: of their points, those to the right and upwards."""
+        for points, ink in trails:
+            if len(points) > 1:
+                line = [self.at(*(point[axis] for axis in axes)) for point in points]
+                self.draw.line(line, fill=ink, width=self.thickness + SMOOTHING)
+
+    def drone(
+        self,
+        place: tuple[float, float],
+        nose: tuple[float, float],
+        heading: float | None,
+        sensed: Sequence[tuple[float, float]],
+        dot: float,
+        colour: Colour,
+    ) -> None:
+        """The sensor's arc, the drone, and what it senses.
+
+        nose: its direction, at most of length 1; heading: of that [degrees]; None: along the view;
+        dot: the radius of a point [px].
+        """
+        (x, y), half, radius = place, self.world.sensor_arc / 2, self.world.drone_radius
+        arc = self.disc(x, y, self.world.sensor_radius)
+        if heading is None:
+            self.draw.ellipse(arc, fill=SENSOR)
+        else:
+            self.draw.pieslice(arc, -heading - half, -heading + half, fill=SENSOR)
+        for point in sensed:
+            self.draw.line([self.at(x, y), self.at(*point)], fill=(*SENSED, 110), width=self.thickness)
+        self.circle(x, y, radius, colour)
+        tip = self.at(x + radius * nose[0], y + radius * nose[1])
+        self.draw.line([self.at(x, y), tip], fill=GROUND, width=3 * self.thickness)
+        for point in sensed:
+            self.circle(*point, dot, SENSED)
 
 
 @functools.lru_cache(maxsize=16)
 def _backdrop(obstacles: tuple[tuple[float, float, float], ...], world: World, width: int) -> Image.Image:
     """What does not move in an episode, enlarged: ground, obstacles (x, y, radius) px, border."""
     image = Image.new("RGB", (width * SMOOTHING, height_of(width, world) * SMOOTHING), GROUND)
-    canvas = ImageDraw.Draw(image)
-    at, disc = _places(world, width)
+    canvas, side = Canvas(image, world), world.border
     for obstacle in obstacles:
-        canvas.ellipse(disc(*obstacle), fill=OBSTACLE)
-    for left in range(0, world.width, world.border):
-        for bottom in range(0, world.height, world.border):
-            if left in (0, world.width - world.border) or bottom in (0, world.height - world.border):
-                corners = (*at(left, bottom + world.border), *at(left + world.border, bottom))
-                canvas.rectangle(corners, fill=BORDER, outline=GROUND)
+        canvas.circle(*obstacle, OBSTACLE)
+    for left in range(0, world.width, side):
+        for bottom in range(0, world.height, side):
+            if left in (0, world.width - side) or bottom in (0, world.height - side):
+                canvas.rectangle(left, bottom, left + side, bottom + side, GROUND)
     return image
-
-
-def _frame(canvas: ImageDraw.ImageDraw, at: Point, width: int, height: int, thickness: int) -> None:
-    """The walls of a view [px]."""
-    strips = (
-        (0, 0, width, thickness),
-        (0, height - thickness, width, height),
-        (0, 0, thickness, height),
-        (width - thickness, 0, width, height),
-    )
-    for left, bottom, right, top in strips:
-        canvas.rectangle((*at(left, top), *at(right, bottom)), fill=BORDER)
 
 
 @functools.cache

@@ -71,19 +71,17 @@ def _task(
     return whole.replace(layouts=whole.layouts.cpu())
 
 
-def _options(options: Any) -> Mapping[str, Any]:
-    """The options given to `reset`; raises a ConfigError where they are no mapping."""
-    if options is not None and not isinstance(options, Mapping):
-        raise ConfigError(f"options={told(options)}; give a mapping, such as {{'layout': 3}}")
-    return options or {}
-
-
-def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any]:
-    """The layouts given to `reset`: one index, or one index per row of `shape`.
+def chosen_layouts(options: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any] | None:
+    """The layouts in the options given to `reset`: one index, or one index per row of `shape`; or None.
 
     Raises:
+        ConfigError: the options are no mapping.
         ValueError: an index is not in the split.
     """
+    if options is not None and not isinstance(options, Mapping):
+        raise ConfigError(f"options={told(options)}; give a mapping, such as {{'layout': 3}}")
+    if (layout := (options or {}).get("layout")) is None:
+        return None
     try:
         long = isinstance(layout, range) and (len(layout),) != shape
         chosen = np.array(-1) if long else np.asarray(layout)
@@ -169,9 +167,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        chosen = _options(options).get("layout")
-        if chosen is not None:
-            chosen = int(pick(chosen, (), len(self.layouts)))
+        chosen = chosen_layouts(options, (), len(self.layouts))
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
@@ -179,7 +175,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
             following = int(places(seeds, 1, len(self.layouts), "cpu"))
         else:
             following = (self._layout + 1) % len(self.layouts)
-        self._layout = following if chosen is None else chosen
+        self._layout = following if chosen is None else int(chosen)
         heading, draws = self._chance.start()
         started = self._episode.start(self._layout, int(heading), draws), self._info()
         self._show()
@@ -201,7 +197,6 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         return stepped
 
     def _show(self) -> None:
-        """The state in the window, if there is one."""
         if self._viewer:
             self._viewer.show(draw_state(self._now(), self.task))
 
@@ -290,12 +285,9 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             super().reset(seed=seed)
             self._seed_rows([int(self.np_random.integers(2**31)) if seed is None else seed])
         following = self._first if self._state is None else (self._state.layout + 1) % len(self.task.layouts)
-        layout = _options(options).get("layout")
-        if layout is not None:
-            chosen = torch.as_tensor(
-                pick(layout, (self.num_envs,), len(self.task.layouts)), dtype=torch.int64
-            )
-            following = chosen.expand(self.num_envs).clone()
+        chosen = chosen_layouts(options, (self.num_envs,), len(self.task.layouts))
+        if chosen is not None:
+            following = torch.as_tensor(chosen, dtype=torch.int64).expand(self.num_envs).clone()
         self._state = self._start(following)
         observation, clearance = self.task.observe(self._state)
         return observation.numpy(), self._info(self._state, clearance)
@@ -320,14 +312,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             final_observations = np.full(self.num_envs, None, dtype=object)
             for row in np.flatnonzero(ended):
                 final_observations[row] = observation[row].numpy()
-            final = self._info(state, clearance)
-            masked = {
-                key: np.where(ended, value, np.zeros_like(value))
-                for key, value in final.items()
-                if not key.startswith("_")
-            }
-            masks = {f"_{key}": ended.copy() for key in masked}
-            info = {"final_obs": final_observations, "final_info": masked | masks}
+            info = {"final_obs": final_observations, "final_info": self._info(state, clearance, ended)}
             info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
             fresh = self._start((state.layout + 1) % len(self.task.layouts))
             state = where(done, fresh, state)
@@ -355,7 +340,6 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         self._seeded, self._state = True, None
 
     def _start(self, layout: Tensor) -> State:
-        """Where episodes of every row begin."""
         headings, draws = self._chance.start()
         return self.task.start(layout, headings.flatten(), _flat(draws))
 
@@ -364,10 +348,11 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             raise gymnasium.error.ResetNeeded("call reset() first")
         return self._state
 
-    def _info(self, state: State, clearance: Tensor) -> Info:
-        values = {name: value.numpy().copy() for name, value in self.task.info(state).items()}
-        values["clearance"] = clearance.numpy().copy()
-        return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}
+    def _info(self, state: State, clearance: Tensor, rows: Any = True) -> Info:
+        """What is told of some rows, and which these are; of the others zeros."""
+        values = {**self.task.info(state), "clearance": clearance}
+        shown = {name: np.where(rows, value, torch.zeros_like(value)) for name, value in values.items()}
+        return shown | {f"_{name}": np.full(self.num_envs, rows) for name in values}
 
 
 def _flat(draws: Tensor | None) -> Tensor | None:

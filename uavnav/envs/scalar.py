@@ -90,7 +90,6 @@ class Episode:
         return {"layout": self.layout, "x": self.x, "y": self.y, "heading": self.heading}
 
     def _circles(self) -> Circles:
-        """The obstacles as they are now."""
         return self._layouts[self.layout]
 
     def _observe(self) -> Observation:
@@ -178,7 +177,6 @@ class BatchOfOne:
         return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
 
     def info(self) -> dict[str, float]:
-        """As `Episode.info`."""
         return {name: value.item() for name, value in self.task.info(self.state).items()}
 
     def _keep(self, state: State, observation: Tensor, clearance: Tensor) -> Observation:

@@ -41,15 +41,16 @@ class Protocol(NamedTuple):
 
     def header(self) -> dict[Any, Any]:
         """What the header of that file says; of a task, if it is not the paper's."""
-        own: dict[Any, Any] = {
+        said = {
             "layouts": str(self.layouts),
             "episodes": self.episodes,
             "max_steps": self.max_steps,
+            "faults": None if self.faults is None else str(self.faults),
+            "at": self.at,
+            "shield": self.shield or None,
+            "task": None if self.task == "drone" else self.task,
         }
-        own |= {} if self.faults is None else {"faults": str(self.faults)}
-        own |= {} if self.at is None else {"at": self.at}
-        own |= {"shield": True} if self.shield else {}
-        return own if self.task == "drone" else own | {"task": self.task}
+        return {name: value for name, value in said.items() if value is not None}
 
 
 def usual(task: str) -> Protocol:

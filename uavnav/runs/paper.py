@@ -41,7 +41,5 @@ def printed(algorithm: str, activation: str, metric: str, per_frame: bool = Fals
     return row.get(metric, math.nan)
 
 
-FRAMES = 1_000_000
-"""Steps of one run."""
 HOURS = 10.0
 """Hours that one run took, sec. 4.1."""

@@ -172,12 +172,6 @@ def zips(words: Sequence[str], activation: str | None) -> list[str]:
     return found
 
 
-def seeds(path: str | Path) -> list[int]:
-    """The training seeds of a policy file; raises a PolicyError as `load_policy` does."""
-    load_policy(path)
-    return contents(shipped.found(path))[1].seeds
-
-
 def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
     """What a policy file contains: the tensors of all seeds by name, and its header; raises a PolicyError."""
     try:
@@ -218,14 +212,14 @@ def load_policy(
         return _from_sb3(Path(run), greedy, activation)
     if activation is not None:
         raise PolicyError(f"{run}: activation={activation}; a run knows its own: give it only for a .zip")
-    return next(_policies(run, None if seed is None else [seed], greedy))
+    return next(each_policy(run, None if seed is None else [seed], greedy))
 
 
 def load_policies(
     run: str | Path, seeds: Sequence[int] | None = None, greedy: bool = True
 ) -> dict[int, Policy]:
     """The policies of some seeds of a run, or of all, by seed. Raises a PolicyError as `load_policy` does."""
-    return {policy.seed: policy for policy in _policies(run, seeds, greedy)}
+    return {policy.seed: policy for policy in each_policy(run, seeds, greedy)}
 
 
 def by_mode(policies: Mapping[int, Policy]) -> dict[str, dict[int, Policy]]:
@@ -236,8 +230,8 @@ def by_mode(policies: Mapping[int, Policy]) -> dict[str, dict[int, Policy]]:
     }
 
 
-def _policies(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Iterator[Policy]:
-    """Those of some seeds, or of all, one after the other."""
+def each_policy(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Iterator[Policy]:
+    """The same one after the other, each read when it is asked for."""
     path = Path(run) / POLICY if os.path.isdir(run) else shipped.found(run)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         problem = runs_below(Path(run)) or f"no {POLICY} there; give the folder of a finished run"
@@ -354,7 +348,6 @@ SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
 
 
 def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
-    """The policy in a zip of Stable-Baselines3."""
     if not os.path.isfile(path):
         raise PolicyError(f"{path}: no such file; give what model.save of PPO or DQN wrote")
     tensors = _sb3_tensors(path)

@@ -57,8 +57,6 @@ OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
 LISTS = ("hidden", "keep_at")
 """Settings whose value is a list."""
-PROTOCOL = ("episodes", "max_steps")
-"""Keys of `evaluate` that every configuration is flown by."""
 MOST_CONFIGURATIONS = 10_000
 """Of a study, its trials included."""
 MOST_OBSTACLES = 1_000
@@ -67,13 +65,8 @@ FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"
 """Of a value in a folder's name."""
 PATH = 1_000
 """Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
-LAYOUTS, FAULTS, AT, SHIELD = "layouts", "faults", "at", "shield"
-"""Keys of `evaluate`: another layout file than the test layouts; faults such as noise=5, instead of those of
-training; the share of training after which policies were kept, null for its end; whether all actions go
-through the shield.
-"""
-ACROSS, MEASURES = "across", "measures"
-"""Keys of `evaluate` that hold for all its evaluations: ladders, and whether rows have more columns."""
+PROTOCOL = ("episodes", "max_steps", "layouts", "faults", "at", "shield")
+"""Keys of `evaluate`, as `Protocol` has them; a list stands for an evaluation each."""
 
 
 class _Loader(files.Loader):
@@ -94,12 +87,8 @@ class Configuration(NamedTuple):
 
     config: TrainConfig
     out: Path
-    evaluation: dict[str, Any] | None
-    """`episodes`, layouts of the split `test` or of `layouts`, `max_steps`, and perhaps `faults`, `at` and
-    `shield`; None: it is not flown.
-    """
-    further: tuple[dict[str, Any], ...] = ()
-    """Further evaluations, of the same keys."""
+    flights: tuple[Protocol, ...] = ()
+    """How it is evaluated, first as the report shows it; nothing: not at all."""
     across: tuple[str, ...] = ()
     """Ladders that it flies too, with as many layouts and steps."""
     measures: bool = False
@@ -108,16 +97,9 @@ class Configuration(NamedTuple):
     """The name of its study, which its `meta.json` keeps."""
 
     @property
-    def flights(self) -> list[dict[str, Any]]:
-        """All its evaluations."""
-        return [] if self.evaluation is None else [self.evaluation, *self.further]
-
-    @property
-    def episodes(self) -> tuple[str, ...]:
-        """The files of rows and of behaviour that its evaluation leaves; none where it is not flown."""
-        if self.evaluation is None:
-            return ()
-        return tuple(Protocol(**self.evaluation).file(name) for name in ("evaluation", "behaviour"))
+    def episodes(self) -> list[str]:
+        """The files of rows and of behaviour that its first evaluation leaves; none where it is not flown."""
+        return [one.file(name) for one in self.flights[:1] for name in ("evaluation", "behaviour")]
 
 
 class Study(NamedTuple):
@@ -273,7 +255,6 @@ def _is_list(key: str, value: Any) -> bool:
 
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One configuration for each combination of the values that are lists."""
     values = {key: value if _is_list(key, value) else [value] for key, value in several.items()}
     for key, value in values.items():
         if not value:
@@ -295,21 +276,20 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
         )
     if not (out / folder).resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
-    protocols, across, measures = _protocols(said.get("evaluate", True), TASKS[config.task].limit(MAX_STEPS))
-    for protocol in protocols:
-        name = protocol.get(LAYOUTS)
-        sets = len(layouts.load(name, config.world)) if name else SPLITS["test"].n
-        if protocol["episodes"] > sets:
-            given = protocol["episodes"]
-            raise ConfigError(f"evaluate.episodes={given}; give at most {sets}, the split's layouts")
-        if (at := protocol.get(AT)) is not None and at not in config.keep_at:
+    own = "test" if judged_on(config.layouts) == config.layouts else judged_on(config.layouts)
+    usual = Protocol(own, EPISODES, TASKS[config.task].limit(MAX_STEPS))
+    flights, across, measures = _flights(said.get("evaluate", True), usual)
+    for one in flights:
+        sets = SPLITS["test"].n if one.layouts == own else len(layouts.load(one.layouts, config.world))
+        if one.episodes > sets:
+            raise ConfigError(f"evaluate.episodes={one.episodes}; give at most {sets}, the split's layouts")
+        if one.at is not None and one.at not in config.keep_at:
             raise ConfigError(
-                f"evaluate.at={told(at)}; give some of keep_at={shown(config.keep_at)}, or null"
+                f"evaluate.at={told(one.at)}; give some of keep_at={shown(config.keep_at)}, or null"
             )
-    if (own := judged_on(config.layouts)) not in ("test", config.layouts):
-        protocols = [{LAYOUTS: own} | protocol for protocol in protocols]
-    place = out / folder / config.algorithm / config.activation
-    return Configuration(config, place, next(iter(protocols), None), tuple(protocols[1:]), across, measures)
+    return Configuration(
+        config, out / folder / config.algorithm / config.activation, flights, across, measures
+    )
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
@@ -340,35 +320,34 @@ def _is_folder(name: str) -> bool:
     return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
-def _protocols(said: Any, limit: int) -> tuple[list[dict[str, Any]], tuple[str, ...], bool]:
-    """How a configuration is flown, across which ladders, and whether with more measures; limit: of steps, if
-    none is said.
+def _flights(said: Any, usual: Protocol) -> tuple[tuple[Protocol, ...], tuple[str, ...], bool]:
+    """How a configuration is flown, across which ladders, and whether with more measures; usual: what holds
+    where nothing is said.
     """
-    usual = dict(zip(PROTOCOL, (EPISODES, limit), strict=True))
     if isinstance(said, bool):
-        return [usual] * said, (), False
-    known = (*PROTOCOL, LAYOUTS, FAULTS, AT, SHIELD, ACROSS, MEASURES)
+        return (usual,) * said, (), False
+    known = (*PROTOCOL, "across", "measures")
     if not isinstance(said, dict) or not said.keys() <= {*known}:
         raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join(known)}")
-    across, measures = said.get(ACROSS, []), checked(f"evaluate.{MEASURES}", said.get(MEASURES, False), bool)
+    across, measures = said.get("across", []), checked("evaluate.measures", said.get("measures", False), bool)
     if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
-    several = usual | {key: value for key, value in said.items() if key not in (ACROSS, MEASURES)}
-    return [_protocol(one) for one in _combinations(several)], tuple(dict.fromkeys(across)), measures
+    several = {"episodes": usual.episodes, "max_steps": usual.max_steps} | said
+    own = {key: value for key, value in several.items() if key in PROTOCOL}
+    return tuple(_flight(one, usual) for one in _combinations(own)), tuple(dict.fromkeys(across)), measures
 
 
-def _protocol(said: Mapping[str, Any]) -> dict[str, Any]:
-    """One evaluation, checked; without keys that say nothing."""
-    checked(f"evaluate.{SHIELD}", said.get(SHIELD, False), bool)
-    protocol = {key: value for key, value in said.items() if value is not None and value is not False}
-    for key in PROTOCOL:
-        protocol[key] = checked(f"evaluate.{key}", said[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)])
-    for key in (LAYOUTS, FAULTS):
-        if not isinstance(protocol.get(key, ""), str):
-            raise ConfigError(f"evaluate.{key}={protocol[key]}; give a name")
-    if FAULTS in protocol:
+def _flight(said: Mapping[str, Any], usual: Protocol) -> Protocol:
+    checked("evaluate.shield", said.get("shield", False), bool)
+    own = {key: value for key, value in said.items() if value is not None and value is not False}
+    for key in ("episodes", "max_steps"):
+        own[key] = checked(f"evaluate.{key}", said[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)])
+    for key in ("layouts", "faults"):
+        if not isinstance(own.get(key, ""), str):
+            raise ConfigError(f"evaluate.{key}={own[key]}; give a name")
+    if "faults" in own:
         try:
-            protocol[FAULTS] = str(from_words(protocol[FAULTS]))
+            own["faults"] = from_words(own["faults"])
         except ValueError as error:
-            raise ConfigError(f"evaluate.{FAULTS}={protocol[FAULTS]}: {error}") from error
-    return protocol
+            raise ConfigError(f"evaluate.faults={own['faults']}: {error}") from error
+    return usual._replace(**own)

@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -23,12 +23,12 @@ from typing import Any, TypeVar
 
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
-from uavnav.evaluation import Protocol, rows_across, together
+from uavnav.evaluation import rows_across, together
 from uavnav.evaluation.scripts import option
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
-from uavnav.studies import PROTOCOL, Configuration, engines
+from uavnav.studies import Configuration, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
 from uavnav.training import heartbeat, machine, recorder, workers
@@ -196,18 +196,15 @@ def trained(configuration: Configuration) -> bool:
 
 def unflown(configuration: Configuration) -> list[list[str]]:
     """The missing episodes that a configuration's study asks for: each the words of `uavnav evaluate`."""
-    if configuration.evaluation is None:
-        return []
-    out = configuration.out
+    out, flights = configuration.out, configuration.flights
     more = ["--measures"] * configuration.measures
     missing = [
-        [*_words(one), *more]
-        for one in configuration.flights
-        if not (out / Protocol(**one).file("evaluation")).exists()
+        [*_words(one.header()), *more] for one in flights if not (out / one.file("evaluation")).exists()
     ]
-    bounds = {key: configuration.evaluation[key] for key in PROTOCOL}
-    ladders = [name for name in configuration.across if not (out / rows_across(name, **bounds)).exists()]
-    return missing + [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
+    for bounds in ({"episodes": one.episodes, "max_steps": one.max_steps} for one in flights[:1]):
+        ladders = [name for name in configuration.across if not (out / rows_across(name, **bounds)).exists()]
+        missing += [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
+    return missing
 
 
 def evaluated(configuration: Configuration) -> bool:
@@ -297,7 +294,8 @@ class Runner:
         with contextlib.ExitStack() as stack:
             stack.enter_context(lock(self.out))
             self._check_engine()
-            stack.enter_context(self._signals())
+            for number in STOPS:
+                stack.callback(signal.signal, number, signal.signal(number, self._note))
             for work in self.works:
                 self._begin(work)
             self._lived = self._said = self._answered = time.monotonic()
@@ -336,15 +334,6 @@ class Runner:
         self._answered = time.monotonic()
         return answer
 
-    @contextlib.contextmanager
-    def _signals(self) -> Iterator[None]:
-        before = {number: signal.signal(number, self._note) for number in STOPS}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
     def _note(self, number: int, frame: object) -> None:
         self._stop = number
 
@@ -362,7 +351,7 @@ class Runner:
             own.note(processes=n)
         work.workers = workers.split(config, configuration.out, n)
         for worker in work.workers:
-            part = Configuration(worker.config, worker.folder, configuration.evaluation)
+            part = Configuration(worker.config, worker.folder, configuration.flights[:1])
             worker.done = trained(part) and evaluated(part)
             worker.frames = worker.config.frames if worker.done else 0
         self._waiting.extend((work, worker) for worker in work.workers if not worker.done)
@@ -384,7 +373,6 @@ class Runner:
             self._running.append(job)
 
     def _words(self, job: Job) -> list[str]:
-        """The command line of a job."""
         configuration = job.work.configuration
         if job.worker is None:
             missing = unflown(configuration)
@@ -399,10 +387,10 @@ class Runner:
             words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
         else:
             threads = machine.threads(configuration.config, len(job.work.workers))
-            how = {"checkpoint_seconds": self.checkpoint_seconds}
-            own = configuration.evaluation
-            flown = own if own is None else own | {"measures": configuration.measures}
-            words = ["uavnav.cli.worker", *job.worker.prepare(threads, flown, **how)]
+            how: dict[str, Any] = {"checkpoint_seconds": self.checkpoint_seconds}
+            measures = {"measures": configuration.measures}
+            flown = [one.header() | measures for one in configuration.flights[:1]]
+            words = ["uavnav.cli.worker", *job.worker.prepare(threads, *flown, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:

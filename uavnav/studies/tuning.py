@@ -172,7 +172,6 @@ def _told(search: Any) -> list[Any]:
 
 
 def _keep(found: Plan, searches: Mapping[str, Any]) -> None:
-    """Write the table of what was told."""
     rows = [
         [
             name,

@@ -67,7 +67,6 @@ class Pilot(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its name and its mode."""
         return f"{self.name}, {self.mode}" if self.mode else self.name
 
 
@@ -175,7 +174,6 @@ class Film(Sequence[Picture]):
         return np.asarray(picture)
 
     def _draw(self, number: int, step: int) -> Image.Image:
-        """One episode with its caption."""
         episode, colour = self.episodes[number], self.colours[number]
         state, trail = episode.states[step], self._trails[number][: step + 1]
         task = episode.pilot.task.replace(layouts=self.obstacles[None])

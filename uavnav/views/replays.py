@@ -388,7 +388,6 @@ def _by_row(steps: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:
 
 
 def _pack(episode: Episode) -> dict[str, Any]:
-    """An episode as the page contains it."""
     values = episode.choices["values"]
     low, high = values.aminmax(dim=-1, keepdim=True)
     relative = (values - low) / torch.where(high > low, high - low, 1)

@@ -65,7 +65,6 @@ def render(kind: type[TrainConfig], world: type[World], command: type[Settings])
 
 
 def _table(found: Sequence[Line]) -> str:
-    """A line a key."""
     heads = [f"{line.name}={line.default}" for line in found]
     width = max(map(len, heads))
     units = [f"[{line.unit}] " if line.unit else "" for line in found]

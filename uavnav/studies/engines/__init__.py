@@ -96,7 +96,6 @@ class Probe:
         shutil.rmtree(self._file.parent, ignore_errors=True)
 
     def words(self, machine: str) -> list[str]:
-        """The command line for a machine."""
         return ["cp", str(self._file), str(self._file.with_name(machine))]
 
     def answered(self, machine: str) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import importlib.metadata
+import itertools
 import json
 import os
 import re
@@ -72,7 +73,6 @@ class Setting(NamedTuple):
 
 
 def _rungs(name: str) -> tuple[float, float]:
-    """The least and the most of a ladder."""
     return min(LADDERS[name].rungs), max(LADDERS[name].rungs)
 
 
@@ -169,8 +169,7 @@ def _policies(path: str, seed: int | None, activation: str | None, most: int) ->
     """Those of a run's lowest seeds, at most so many; of one seed, or of a zip, the one that there is."""
     if seed is not None or is_zip(path) or not os.path.exists(path):
         return [policies.load_policy(path, seed, False, activation)]
-    lowest = policies.seeds(Path(path) / POLICY if os.path.isdir(path) else path)[: max(1, min(SEEDS, most))]
-    return list(policies.load_policies(path, lowest, False).values())
+    return [*itertools.islice(policies.each_policy(path, None, False), max(1, min(SEEDS, most)))]
 
 
 def _checked(path: str, policy: Policy) -> Policy:
@@ -213,7 +212,6 @@ def _order(policy: Policy) -> tuple[int, int]:
 
 
 def _activation(policy: Policy) -> str:
-    """Of its hidden layers."""
     return next(
         (one.name for one in policy.network.children() if isinstance(one, networks.Activation)), "identity"
     )
@@ -339,7 +337,6 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
 
 
 def _rows(layouts: Tensor) -> dict[str, Any]:
-    """Layouts as the page reads them."""
     return {"shape": list(layouts.shape), "numbers": _base64(layouts)}
 
 

@@ -140,10 +140,10 @@ def test_a_policy_comes_back_with_the_world_reward_and_cap_that_it_was_trained_i
 # -- policies that ship --------------------------------------------------------------------------------------
 
 
-def test_eleven_policies_ship_in_2_mb_each_the_chosen_seed_of_its_run_bit_for_bit():
+def test_twelve_policies_ship_in_2_mb_each_the_chosen_seed_of_its_run_bit_for_bit():
     paths, rows = shipped.shipped(), {row["run"]: row for row in shipped.rows()}
     paper = {f"{algorithm}-{activation}" for algorithm, activation in TABLES}
-    assert paths.keys() == rows.keys() == paper | {"ppo-fast-tanh", "dqn-fast-tanh", "ppo-best"}
+    assert paths.keys() == rows.keys() == paper | {"ppo-fast-tanh", "dqn-fast-tanh", "ppo-best", "pqn-best"}
     assert sum(path.stat().st_size for path in shipped.FOLDER.iterdir()) < 2 * 2**20
     data = tomllib.loads((RESULTS.parent / "pyproject.toml").read_text())["tool"]["setuptools"][
         "package-data"

@@ -27,6 +27,7 @@ RUNS = {
     },
     **{f"{algorithm}-fast-tanh": f"algorithms/fast/{algorithm}/tanh" for algorithm in ("ppo", "dqn")},
     "ppo-best": "learned/drone/ppo/tanh",
+    "pqn-best": "learned/drone/pqn/relu",
 }
 """By the name of a policy, its run below the folder of results."""
 LAYOUTS = "validation"

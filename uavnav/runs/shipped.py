@@ -1,5 +1,5 @@
 """Policies that ship with the package: `ppo-tanh` is the paper's, `ppo-fast-tanh` of the preset `fast`, and
-`ppo-best` the best there is.
+`ppo-best` and `pqn-best` of the presets `best`.
 
 `uavnav.evaluation.choose` writes them: of the seeds of each run whose policies are committed, the best on the
 validation split.

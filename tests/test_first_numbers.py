@@ -146,7 +146,7 @@ def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_
 
 
 def test_one_run_a_configuration_would_name_tanh_and_give_the_papers_order_so_often(per_frame, logged):
-    line = lines("- In training, PPO's sigmoid")
+    line = lines("- Per frame of training, PPO's sigmoid")
     others = [per_frame["ppo", one].mean() for one in FOUR if one != "tanh"]
     says(line, 1000 * (max(others) - per_frame["ppo", "tanh"].mean()), 1)
     draws = np.random.default_rng(0).integers(40, size=(4, 400_000))

@@ -101,9 +101,8 @@ def test_every_committed_policy_loads_whatever_version_wrote_its_header():
     for path in COMMITTED:
         policy = uavnav.load_policy(RESULTS / path)
         config = uavnav.Run(RESULTS / path.parent).config
-        how = {"ppo": ("categorical", 0.0), "dqn": ("epsilon-greedy", config.get("epsilon_end"))}[
-            policy.algorithm
-        ]
+        explores = "epsilon-greedy", config.get("epsilon_end")
+        how = {"ppo": ("categorical", 0.0), "dqn": explores, "pqn": explores}[policy.algorithm]
         assert (policy.acts, policy.epsilon) == how, path
         assert policy.world == uavnav.World(**config.get("world", {})), path
         assert (policy.reward, policy.head) == (config["reward"], "direct"), path

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from verdict_evidence import EIGHT, evidence, nothing, of_metric, of_paper_per_frame, verdicts_of, words
+from verdict_evidence import EIGHT, evidence, nothing, of_metric, of_paper_per_frame, verdicts_of
 
 from uavnav.report import claims
 from uavnav.report.claims import (
@@ -284,7 +284,7 @@ def test_the_worst_and_the_best_configurations_are_named():
 )
 def test_the_grade_of_a_claim_is_of_the_parts_that_count(number, means, graded):
     found = of_claim(number, means, spread=0.01)
-    assert words(grade(found)) == graded
+    assert str(grade(found)) == graded
     assert all(
         finding.standing == "no part of the grade"
         for finding in found
@@ -316,7 +316,7 @@ def test_claim_5_is_degenerate_where_an_activation_never_stops():
         return 0 * stops(*term) if term[1] == "relu" else stops(*term)
 
     (found,) = audit(relu_never_stops, of_paper, [CLAIMS[4]])
-    assert (found.verdict, found.standing, words(grade([found]))) == ("degenerate", "degenerate", "open")
+    assert (found.verdict, found.standing, str(grade([found]))) == ("degenerate", "degenerate", "open")
 
 
 def test_claim_10_is_not_asked_of_the_main_study():
@@ -391,7 +391,7 @@ def test_half_of_claim_15_is_replicated_in_part():
         order = {"sac": 2.0, "dqn": 0.0, "ppo": 1.0}
         return order.get(algorithm, 0) + as_claimed(0)(algorithm, activation, metric, study)
 
-    assert words(grades(found)[15]) == "in part (1 of 2)"
+    assert str(grades(found)[15]) == "in part (1 of 2)"
 
 
 def test_slopes_are_those_of_least_squares_and_the_one_of_own_rungs_is_of_ppo_minus_dqn():

@@ -119,7 +119,7 @@ def test_ppo_leads_dqn_by_this_share_of_the_papers_lead(per_frame):
     printed = np.mean([PRINTED[one] / STEPS[one] - DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR])
     says(line, 1000 * lead, 1)
     says(line, 1000 * printed, 1)
-    says(lines("**In training, PPO beats"), 100 * lead / printed)
+    says(lines("**PPO beats DQN; its lead"), 100 * lead / printed)
     pairs = itertools.product(FOUR, FOUR)
     assert min(per_frame["ppo", a].mean() - per_frame["dqn", b].mean() for a, b in pairs) > 0
 

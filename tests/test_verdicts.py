@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from verdict_evidence import EIGHT, of_paper_per_frame, verdicts_of, words
+from verdict_evidence import EIGHT, of_paper_per_frame, verdicts_of
 
 from uavnav import stats
 from uavnav.report import operating, verdicts
@@ -119,7 +119,7 @@ def test_four_seeds_in_a_configuration_decide_nothing_and_five_do(n, expected):
 
 def test_a_measure_that_never_varies_on_one_side_is_degenerate_and_counts_for_nothing():
     found = one(TWO, EIGHT, np.zeros(8), effect=1.0)
-    assert (found.verdict, found.standing, words(grade([found]))) == ("degenerate", "degenerate", "open")
+    assert (found.verdict, found.standing, str(grade([found]))) == ("degenerate", "degenerate", "open")
     beside = Part("two against two", terms(4), ((0.5, 0.5, -0.5, -0.5),))
     # one of two configurations varies
     assert one(beside, 9 + EIGHT, np.zeros(8), EIGHT, EIGHT).verdict == "replicates"
@@ -303,16 +303,16 @@ def test_the_negative_control_an_interval_of_percentiles_of_five_seeds_misses_mo
 def test_a_grade_counts_the_parts_that_replicate(parts, expected):
     finding = one(ONE, EIGHT)
     found = [finding._replace(verdict=verdict) for verdict in parts]
-    assert words(grade(found)) == expected
+    assert str(grade(found)) == expected
     small = finding._replace(verdict="reverses", standing="the paper's effect is too small")
-    assert words(grade([*found, small])) == expected
+    assert str(grade([*found, small])) == expected
 
 
 def test_a_claim_of_which_a_part_waits_for_its_runs_replicates_in_part_at_most():
     finding = one(ONE, EIGHT)
     waits = finding._replace(standing="no runs", verdict="open")
-    assert words(grade([finding._replace(verdict="replicates"), waits])) == "in part (1 of 2)"
-    assert words(grade([finding._replace(verdict="absent"), waits])) == "does not"
+    assert str(grade([finding._replace(verdict="replicates"), waits])) == "in part (1 of 2)"
+    assert str(grade([finding._replace(verdict="absent"), waits])) == "does not"
 
 
 def test_a_part_is_smaller_if_its_interval_as_adjusted_lies_below_half_of_the_papers_effect():
@@ -328,8 +328,8 @@ def test_a_part_is_smaller_if_its_interval_as_adjusted_lies_below_half_of_the_pa
 
 def test_a_claim_of_which_nothing_counts_is_open_and_one_of_context_is_context():
     finding = one(ONE, 9 + EIGHT)
-    assert words(grade([finding._replace(standing="the paper's effect is too small")])) == "open"
-    assert words(grade([finding._replace(standing="no part of the grade")])) == "context"
+    assert str(grade([finding._replace(standing="the paper's effect is too small")])) == "open"
+    assert str(grade([finding._replace(standing="no part of the grade")])) == "context"
 
 
 PRINTED = {
@@ -389,7 +389,7 @@ def test_a_study_of_equal_configurations_replicates_nothing_and_a_mirrored_one_r
     equal = dict.fromkeys(PRINTED, 1.0)
     found = audit(scattered(equal, 1e-4), of_paper)
     for claim in (1, 2, 3, 5, 6, 8):
-        assert words(grade(verdicts.of_claim(found, claim))) == "does not"
+        assert str(grade(verdicts.of_claim(found, claim))) == "does not"
     assert {one.verdict for one in found if one.standing == "counts"} <= {"absent", "reverses"}
     mirrored = {key: -value for key, value in PRINTED.items()}
     found = [one for one in audit(scattered(mirrored, 1e-4), of_paper) if one.standing == "counts"]

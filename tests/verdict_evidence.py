@@ -43,10 +43,3 @@ def of_metric(metric, ppo, dqn=(), **more):
 
 def verdicts_of(findings):
     return [finding.verdict for finding in findings]
-
-
-def words(grade):
-    """A grade, and how many parts replicate where not all do."""
-    return (
-        f"{grade.name} ({grade.replicating} of {grade.counting})" if grade.name == "in part" else grade.name
-    )

@@ -179,6 +179,9 @@ class Grade(NamedTuple):
     replicating: int
     counting: int
 
+    def __str__(self) -> str:
+        return f"{self.name} ({self.replicating} of {self.counting})" if self.name == IN_PART else self.name
+
 
 def grade(findings: Sequence[Finding]) -> Grade:
     """The grade of a claim from its parts."""

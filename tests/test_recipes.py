@@ -30,8 +30,8 @@ from uavnav.training.recorder import Recorder
 RECIPES = Path(__file__).parent.parent / "recipes"
 RESULTS = RECIPES.parent / "results"
 SHORT = {
-    "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
-    "dqn": ["total_frames=1e3", "learning_starts=500", "evaluate=false"],
+    "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "anneal_lr=true", "evaluate=false"],
+    "dqn": ["total_frames=1e3", "learning_starts=500", "anneal_lr=true", "evaluate=false"],
     "a2c": ["total_frames=1e3", "evaluate=false"],
     "sac": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
     "c51": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],

@@ -232,3 +232,5 @@ def test_training_says_a_line_before_torch_is_loaded(flag, said, capsys):
     words = ["ppo", "-m", "activation=relu,elu", "preset=fast", *([flag] if flag else [])]
     commands._say_at_once(commands.parse("train", words))
     assert capsys.readouterr().out == "ppo relu, elu, preset fast: loading torch …\n" * said
+    commands._say_at_once(commands.parse("train", ["pqn", "preset=best", *([flag] if flag else [])]))
+    assert capsys.readouterr().out == "pqn, preset best: loading torch …\n" * said

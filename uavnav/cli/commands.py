@@ -91,8 +91,9 @@ def run(name: str, words: Sequence[str], **how: Any) -> int:
 def _say_at_once(given: argparse.Namespace) -> None:
     """The first line of training, before the imports that take seconds."""
     if not (given.quiet or given.json or given.help or given.cfg):
-        preset, activation = (names_in(given.settings, key) or [USUAL[key]] for key in USUAL)
-        who = f"{given.algorithm} {', '.join(activation)}, preset {', '.join(preset)}"
+        # a preset may name an activation, which is not known yet
+        who = " ".join([given.algorithm, ", ".join(names_in(given.settings, "activation"))]).strip()
+        who += f", preset {', '.join(names_in(given.settings, 'preset') or [USUAL['preset']])}"
         try:
             print(f"{who}: loading torch …", flush=True)
         except BrokenPipeError:  # nobody reads on, and the run is trained all the same

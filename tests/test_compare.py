@@ -3,6 +3,7 @@
 import functools
 import json
 import re
+import shutil
 import subprocess
 import sys
 
@@ -29,6 +30,8 @@ from uavnav.report.compare import (
     text,
 )
 from uavnav.report.tables import side_by_side
+from uavnav.runs.metrics import EVALUATED
+from uavnav.runs.tables import read_table
 from uavnav.tasks.baselines import reactive
 
 main = functools.partial(commands.run, "compare")
@@ -182,8 +185,19 @@ def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
     check([short, rule, policy])
 
 
+def test_episodes_and_the_time_limit_are_of_all_who_are_compared(trained, tmp_path, capsys):
+    run = shutil.copytree(trained("ppo").path, tmp_path / "run")
+    assert main([str(run), "ppo-tanh", "straight", "--episodes", "3", "--max-steps", "40", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["name"] for row in rows} == {str(run), "ppo-tanh", "straight"}
+    assert max(row["mean"] for row in rows if row["metric"] == "steps") == 40
+    assert len(read_table(run / "evaluation-test-3-40.parquet", EVALUATED, "")) == 6
+
+
 def test_metrics_come_as_json(monkeypatch, capsys):
-    monkeypatch.setattr(command, "contend", lambda names, *_: [ABOVE._replace(name=name) for name in names])
+    monkeypatch.setattr(
+        command, "contend", lambda names, *_, **asked: [ABOVE._replace(name=name) for name in names]
+    )
     assert main(["one", "other", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == {"one", "other"}

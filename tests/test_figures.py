@@ -351,10 +351,7 @@ def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
     )
     seeds = pd.DataFrame({"algorithm": "ppo", "activation": ["tanh"] * 2, "value": [3.0, 5.0]})
     figure = figures._first(seeds.assign(definition=SAMPLED, metric="reward"), gaps, style.WIDTH)
-    assert (
-        figure.drawn.alt
-        == "reward an episode, new obstacles: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
-    )
+    assert figure.drawn.alt == "reward per test episode: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
     assert "after 10,000 steps" in figure.caption
 
 

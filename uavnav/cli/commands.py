@@ -469,6 +469,8 @@ COMPARE = Usage(
     "compare runs/ppo-fast/relu runs/dqn-fast/relu reactive",
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
+        _value("--episodes", f"layouts (default: those of the first run, or {EPISODES})", type=whole),
+        _value("--max-steps", f"time limit (default: that of the first run, or {MAX_STEPS:,})", type=whole),
         ACTIVATION,
         _flag("--shield", f"add each under the shield: {SHIELD}"),
         _value("--out", "a page, compare.html", type=Path, metavar="FILE"),

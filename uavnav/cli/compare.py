@@ -26,7 +26,9 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(
             f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive"
         )
-    contenders = contend(names, arguments.activation, arguments.shield)
+    given = {name: getattr(arguments, name) for name in ("episodes", "max_steps")}
+    asked = {name: value for name, value in given.items() if value is not None}
+    contenders = contend(names, arguments.activation, arguments.shield, **asked)
     check(contenders)
     if line := apart(contenders):
         print(line, file=sys.stderr)

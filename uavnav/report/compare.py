@@ -57,23 +57,26 @@ class Contender(NamedTuple):
         return of_episodes(self.episodes["reward"], self.episodes["seed"])
 
 
-def contend(names: Sequence[str], activation: str | None = None, shield: bool = False) -> list[Contender]:
+def contend(
+    names: Sequence[str], activation: str | None = None, shield: bool = False, **asked: int
+) -> list[Contender]:
     """Read rows of runs, and of scripts in a `baselines/` above the first run; all else is evaluated now.
 
-    activation: of a zip's hidden layers; shield: each is evaluated once more, under the shield.
+    activation: of a zip's hidden layers; shield: each is evaluated once more, under the shield; asked: the
+    `episodes` or `max_steps` with which all are evaluated now.
 
     Raises:
         LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
     """
-    runs = {name: _of_run(name) for name in names if name not in SCRIPTS and not _is_policy(name)}
-    protocol = next((one.protocol for one in runs.values()), Protocol().header())
+    runs = {name: _of_run(name, **asked) for name in names if name not in SCRIPTS and not _is_policy(name)}
+    protocol = next((one.protocol for one in runs.values()), Protocol(**asked).header())
     first = next(iter(runs), None)
     found = []
     for name in names:
         kept = runs.get(name) or _kept(name, protocol, first)
         found.append(kept or fly(name, protocol, activation, first))
         if shield:
-            own = _of_run(name, shield=True) if name in runs else None
+            own = _of_run(name, shield=True, **asked) if name in runs else None
             found.append(own or fly(name, protocol, activation, first, shield=True))
     return found
 
@@ -120,16 +123,16 @@ def _is_policy(name: str) -> bool:
     return file or shipped.is_shipped(name)
 
 
-def _of_run(name: str, shield: bool = False) -> Contender:
+def _of_run(name: str, shield: bool = False, **asked: int) -> Contender:
     try:
         run = Run(name)
     except RunError as error:
         raise RunError(f"{error}{shipped.instead(name)}") from error
-    rows = run.evaluation()
-    if rows is None or shield:
+    rows = None if shield or asked else run.evaluation()
+    if rows is None:
         from uavnav.evaluation import evaluate_run
 
-        rows = evaluate_run(run, shield=shield)
+        rows = evaluate_run(run, shield=shield, **asked)
     found = trained(name, configurations.read(Path(name)), rows)
     return found._replace(name=f"{name}, shielded", configuration=None) if shield else found
 
@@ -166,9 +169,7 @@ def check(contenders: Sequence[Contender]) -> None:
     for other in contenders[1:]:
         if other.protocol != first.protocol:
             both = " and ".join(f"{one.name} on {flown([one])}" for one in (first, other))
-            raise RunError(
-                f"evaluated differently: {both}; evaluate both with the same --episodes and --max-steps"
-            )
+            raise RunError(f"evaluated differently: {both}; --episodes and --max-steps evaluate all alike")
 
 
 def apart(contenders: Sequence[Contender]) -> str:

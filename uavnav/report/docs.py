@@ -1,4 +1,4 @@
-"""docs/results.md, and the blocks of results in README.md and two pages of docs, from the report's source.
+"""docs/results.md, and the blocks of results in README.md and three pages of docs, from the report's source.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -21,6 +21,7 @@ RESULTS, BENCHMARKS = "docs/results.md", "docs/benchmarks.md"
 BLOCKS = {
     "README.md": ("summary.md", "results/"),
     "docs/algorithms.md": ("choice.md", ""),
+    "docs/activations.md": ("activation.md", "../results/"),
     "docs/learned-or-classical.md": ("learned.md", "../results/"),
 }
 """Pages with a block of results: its template, and the folder of the tables that it links to."""
@@ -66,7 +67,7 @@ def between_marks(text: str, new: str, where: str = "README.md", block: str = "r
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write docs/results.md and the blocks of results in README.md and two pages of docs."""
+    """Write docs/results.md and the blocks of results in README.md and three pages of docs."""
     parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
     parser.add_argument(
         "folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)"

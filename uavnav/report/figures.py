@@ -137,10 +137,13 @@ def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     rows = {str(who): (seeds[str(who)], Interval(*one)) for who, *one in known.itertuples()}
     full = style.FULL if width >= style.WIDTH else width
     looks = {label: (style.of_pilot(label), "-") for label in rows}
-    drawn = charts.episodes(rows, looks, _of_rule(gaps, "reward"), "reward an episode, new obstacles", full)
+    drawn = charts.episodes(rows, looks, _of_rule(gaps, "reward"), "reward per test episode", full)
     limits = sampled["limit"].dropna()
     limit = f" Episodes end at a collision, or after {limits.max():,.0f} steps." if len(limits) else ""
-    caption = "A small dot is a training run, a large one the mean of its row with its 95 % interval."
+    caption = (
+        "A small dot is the final policy of a training run, a large dot the mean of its row, a bar the mean's"
+        " 95 % interval."
+    )
     return Figure("configurations-episodes", "first", drawn, f"{caption}{limit} The paper: {paper.TITLE}.")
 
 

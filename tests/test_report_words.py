@@ -286,7 +286,7 @@ def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_
     assert docs.main([]) == 2
     assert capsys.readouterr().err.startswith("uavnav.report.docs: README.md: has no lines")
     assert not Path("docs/results.md").exists()
-    for marked in ("README.md", "docs/algorithms.md", "docs/learned-or-classical.md"):
+    for marked in docs.BLOCKS:
         Path(marked).write_text(f"# Title\n{BEGIN}\nold\n{END}\nrest\n")
     Path("docs/benchmarks.md").write_text(MEASURED)
     assert docs.main(["results"]) == 0

@@ -158,6 +158,7 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         style.name_rows(axes, [one.replace("_", " ") for one in COMPARED])
         axes.set_title(algorithm.upper())
         axes.set_xlabel(REWARD)
-    handles = [style.mark(marker, label, markerfacecolor=one) for marker, one, label in looks.values()]
+    drawn_looks = [looks[bool(one)] for one in sorted(shown["layer_norm"].unique())]
+    handles = [style.mark(marker, label, markerfacecolor=one) for marker, one, label in drawn_looks]
     style.legend(drawn, handles)
     return style.Drawn(drawn, f"The most {REWARD}: {'; '.join(said)}.")

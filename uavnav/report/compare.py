@@ -58,7 +58,7 @@ class Contender(NamedTuple):
 
 
 def contend(
-    names: Sequence[str], activation: str | None = None, shield: bool = False, **asked: int
+    names: Sequence[str], activation: str | None = None, shield: bool = False, **asked: Any
 ) -> list[Contender]:
     """Read rows of runs, and of scripts in a `baselines/` above the first run; all else is evaluated now.
 
@@ -123,7 +123,7 @@ def _is_policy(name: str) -> bool:
     return file or shipped.is_shipped(name)
 
 
-def _of_run(name: str, shield: bool = False, **asked: int) -> Contender:
+def _of_run(name: str, shield: bool = False, **asked: Any) -> Contender:
     try:
         run = Run(name)
     except RunError as error:

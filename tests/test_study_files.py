@@ -190,7 +190,7 @@ def test_the_study_files_of_the_package_hold_three_configurations_or_more_and_no
 
 
 def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
-    """But for the path of a layout file, which the study makes; in `first-ten` are ten of a study's 20 seeds."""
+    """But for the path of a layout file, which the study makes; `first-ten` has ten of 20 seeds."""
     results = ROOT / "results"
     named = [studies.read(name) for name in studies.names()]
     configurations = {

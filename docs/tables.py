@@ -50,7 +50,6 @@ def settings_table(kinds: Configs) -> str:
 
 def preset_table(kinds: Configs) -> str:
     """The presets other than the default and `fast`, and what each sets."""
-    rows = ["| preset | of | sets |", "|---|---|---|"]
     sets: dict[tuple[str, str], list[str]] = {}
     for name, kind in kinds.items():
         for preset in kind.PRESETS:
@@ -58,8 +57,9 @@ def preset_table(kinds: Configs) -> str:
             if given and preset != "fast":
                 words = ", ".join(f"`{key}={shown(value)}`" for key, value in given.items())
                 sets.setdefault((preset, words), []).append(name.upper())
-    rows += [f"| `{preset}` | {', '.join(names)} | {words} |" for (preset, words), names in sets.items()]
-    return "\n".join(rows)
+    return "\n".join(
+        f"- `{preset}` of {', '.join(names)}: {words}." for (preset, words), names in sets.items()
+    )
 
 
 def _cell(default: str | None, kind: type[TrainConfig], key: str) -> str:

@@ -226,14 +226,12 @@ LISTED: Mapping[str, Columns] = {
         "scripted policy": "{scripted:.1f}",
     },
     "learned_ahead": {
-        "task": "{place}",
-        "shield": lambda one: "yes" if one["shield"] else "no",
+        "task": lambda one: one["place"] + ", shield" * one["shield"],
         "best scripted policy": "{rule}",
         "its reward": "{scripted:.1f}",
         "learned": "{who}",
         "earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
         "seeds": "{n}",
-        "ahead": "{verdict}",
     },
     "learned_shielded": {
         "task": "{place}",

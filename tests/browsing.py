@@ -63,6 +63,7 @@ def chrome():
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     # the path given: nothing is looked for
     driver = webdriver.Chrome(options=options, service=Service(found[1]))
+    driver.set_script_timeout(240)  # axe takes a second, and a minute beside ten other processes
     yield driver
     driver.quit()
 
@@ -127,7 +128,7 @@ def one(browser, selector):
     return browser.find_element(By.CSS_SELECTOR, selector)
 
 
-def wait(browser, condition, seconds=10):
+def wait(browser, condition, seconds=60):
     return WebDriverWait(browser, seconds, 0.05).until(lambda _: condition())
 
 

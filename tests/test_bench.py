@@ -91,7 +91,7 @@ def test_of_two_processes_that_meet_the_first_waits_for_the_second(tmp_path):
         subprocess.Popen([sys.executable, "-c", command, delay], stdout=subprocess.PIPE, text=True)
         for delay in ("0", "0.5")
     ]
-    spans = [[float(word) for word in process.communicate(timeout=120)[0].split()] for process in both]
+    spans = [[float(word) for word in process.communicate(timeout=240)[0].split()] for process in both]
     assert max(came for came, _ in spans) < min(went_on for _, went_on in spans)
 
 

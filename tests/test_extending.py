@@ -45,7 +45,7 @@ def test_a_file_outside_the_package_trains_stops_resumes_and_goes_through_every_
     while first.poll() is None and not list((tmp_path / RUN).glob("checkpoint/state-*")):
         time.sleep(0.1)
     first.send_signal(signal.SIGINT)
-    _, said = first.communicate(timeout=60)
+    _, said = first.communicate(timeout=240)
     assert first.returncode == 130, said
     assert "saved at" in said
     assert said.count("\n") == 1

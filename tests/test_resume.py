@@ -439,7 +439,7 @@ def start(algorithm, folder):
 
 
 def wait_for(condition, process):
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 240
     while not condition():
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
@@ -457,7 +457,7 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
         states = lambda: {path.name for path in folder.glob("checkpoint/state-*")}  # noqa: E731
         wait_for(lambda: len(states() - seen) >= 1, process)  # noqa: B023
         process.send_signal(number)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=240)
         seen = states()
         if number == signal.SIGTERM:
             assert process.returncode == 128 + signal.SIGTERM
@@ -466,11 +466,11 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
         else:
             assert process.returncode == -signal.SIGKILL
     process = start(algorithm, folder)
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=240)
     assert (process.returncode, err) == (0, "")
     assert f"the run is in {folder}" in out
     process = start(algorithm, tmp_path / "whole")
-    assert process.wait(timeout=120) == 0, process.communicate()
+    assert process.wait(timeout=240) == 0, process.communicate()
     process.communicate()
     same(tmp_path / "whole", folder)
     shutil.rmtree(folder)

@@ -38,7 +38,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library,
         try:
             mapped(process, library)
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=120)
+            out, err = process.communicate(timeout=240)
         finally:
             process.kill()  # it would train for hours
     assert process.returncode != 0

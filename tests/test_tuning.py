@@ -436,7 +436,7 @@ def test_a_real_study_killed_with_signal_9_ends_as_an_unbroken_one_bit_for_bit(t
 
     assert study("whole").wait(300) == 0
     first = study("killed")
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 240
     while (
         not [*tmp_path.glob("killed/tuning/trials/*/a2c/tanh/**/progress.json")]
         and time.monotonic() < deadline

@@ -179,7 +179,7 @@ def test_a_signal_saves_all_workers_as_the_run_says(whom, tmp_path):
     process = started(tmp_path / "run", checkpoint_seconds=3600)
     for member in (process.pid, *(holders(tmp_path / "run") if whom == "every process" else ())):
         os.kill(member, signal.SIGTERM)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=240)
     frames = saved(tmp_path / "run")
     assert len(frames) == 2
     assert f"stopped by SIGTERM and saved at {min(frames):,} of 400,000 frames" in said
@@ -193,7 +193,7 @@ def test_a_signal_saves_all_workers_as_the_run_says(whom, tmp_path):
 def test_when_one_of_two_workers_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
     process = started(tmp_path / "run")
     os.kill(holders(tmp_path / "run")[1], number)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=240)
     assert says in said
     assert len(saved(tmp_path / "run")) == 2
     assert max(saved(tmp_path / "run")) < 400_000
@@ -222,7 +222,7 @@ def test_a_worker_that_does_not_end_when_it_is_asked_to_is_killed_and_said_not_t
 def test_no_worker_outlives_a_run_that_was_killed(tmp_path):
     process = started(tmp_path / "run")
     process.kill()
-    process.communicate(timeout=60)
+    process.communicate(timeout=240)
     for _ in range(600):
         if not locked(tmp_path / "run"):
             break
@@ -251,7 +251,7 @@ def test_a_run_whose_processes_are_killed_again_and_again_ends_with_the_same_bit
         for member in [process.pid, *holders(out)][whom]:
             with contextlib.suppress(ProcessLookupError):  # it has just ended
                 os.kill(member, signal.SIGKILL)
-        process.wait(60)
+        process.wait(240)
     run = train(PPOConfig(**config), out, quiet=True, processes=2)
     same(train(PPOConfig(**config), tmp_path / "whole", quiet=True, processes=2).path, run.path)
 

@@ -57,7 +57,7 @@ def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_pap
     assert page.count("1 to 2 seeds of 1,000 frames") == 1  # PPO's relu has one
     text = markdown(gathered)
     assert found(text, "DQN gelu", PRIMARY) == [["1", "0.0020"]]
-    assert "after 1,000 frames a seed" in text
+    assert "after 1,000 frames per seed" in text
 
 
 @pytest.fixture(scope="module")

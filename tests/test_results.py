@@ -204,7 +204,7 @@ def test_the_counts_of_the_papers_numbers_that_the_decisions_quote_are_those_of_
 
 @pytest.fixture(scope="module")
 def seeds():
-    """The study in many environments a seed, per frame: a row a seed."""
+    """The study in many environments per seed, per frame: a row a seed."""
     runs = {
         configuration: Run(RESULTS / "vectorised" / Path(*configuration)) for configuration in paper.TABLES
     }

@@ -48,7 +48,7 @@ class Studies(NamedTuple):
 
     main: Configurations  # the paper's comparison, and further activations at the same settings
     vectorised: (
-        Configurations  # the same in more environments a seed, where the main study is in one; else none
+        Configurations  # the same in more environments per seed, where the main study is in one; else none
     )
     baseline: Configurations  # in many environments for fewer frames, what the next two are compared with
     initial: Configurations  # under the first reward

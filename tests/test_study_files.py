@@ -289,7 +289,8 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
             "evaluate.episodes=1001; give at most 1000, the split",
         ),
         ("configurations: &a [{algorithm: ppo}]\nsettings: *a", "aliases are not taken"),
-        ("[" * 100_000, "cannot be read (nested too deeply)"),
+        ("[" * 500, "cannot be read (nested too deeply)"),
+        ("[" * 100_000, "cannot be read (while increasing flow level exceeded maximum nesting depth"),
         (
             "configurations: [{algorithm: ppo, lr: 0x" + "f" * 99 + "}]",
             "a whole number has more than 64 bits",

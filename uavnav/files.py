@@ -92,20 +92,8 @@ def parsed(text: str | bytes) -> Any:
         raise ValueError("nested too deeply") from error
 
 
-class Loader(yaml.SafeLoader):
-    """Plain YAML: no aliases, with which a few lines stand for billions, and at most `MOST_NESTED` levels."""
-
-    depth = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases are not taken")
-        self.depth += 1
-        if self.depth > MOST_NESTED:
-            raise yaml.composer.ComposerError(None, None, "nested too deeply")
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
+class Loader(yaml.CSafeLoader):
+    """Plain YAML, of whole numbers that can be computed with."""
 
     def construct_yaml_int(self, node: Any) -> int:
         return _whole(super().construct_yaml_int(node))
@@ -114,17 +102,22 @@ class Loader(yaml.SafeLoader):
 Loader.add_constructor("tag:yaml.org,2002:int", Loader.construct_yaml_int)
 
 
-def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = Loader) -> Any:
+def read_yaml(path: str | Path, loader: type[Loader] = Loader) -> Any:
     """What a YAML file says; raises an OSError as `read` does, and a ValueError where it is no plain YAML."""
     return parsed_yaml(read(path, SETTINGS_BYTES), loader)
 
 
-def parsed_yaml(text: str | bytes, loader: type[yaml.SafeLoader] = Loader) -> Any:
+def parsed_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
     """What YAML says; raises a ValueError where it is none, has aliases, or is nested too deeply."""
+    depth = 0
     try:
+        for event in yaml.parse(text, yaml.CSafeLoader):
+            if isinstance(event, yaml.AliasEvent):  # with which a few lines stand for billions
+                raise ValueError("aliases are not taken")
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > MOST_NESTED:
+                raise ValueError("nested too deeply")
         return yaml.load(text, loader)  # a safe loader
-    except RecursionError as error:
-        raise ValueError("nested too deeply") from error
     except (yaml.YAMLError, TypeError, AttributeError, KeyError, OverflowError) as error:
         # the latter of odd keys, dates
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error

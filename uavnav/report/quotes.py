@@ -78,14 +78,16 @@ class Quotes:
         if claim.shown is None:
             raise Untrue(f"no part of claim {number} counts")
         row = {"column": claim.column, "text": claim.asks(claim.column)[claim.shown].text, **more}
-        part = self.table("verdicts").query("claim == @number and column == @row['column']")
+        verdicts = self.table("verdicts")
+        part = verdicts[(verdicts["claim"] == number) & (verdicts["column"] == row["column"])]
         if part.set_index("text").standing.get(row["text"]) not in (COUNTS, BESIDE):
             raise Untrue(f"claim {number}: {row['text']} does not count")
         return self.quote("verdicts", sign, of, times, unit, claim=number, **row)
 
     def grade(self, number: int, *grades: str) -> str:
         """Nothing, if a claim has these grades in the columns of `COLUMNS`; a dash where it has none."""
-        table = self.table("grades").query("claim == @number").set_index("column")["grade"]
+        grades_of = self.table("grades")
+        table = grades_of[grades_of["claim"] == number].set_index("column")["grade"]
         found = [table.get(column, "–") for column in COLUMNS]
         return self.check(found == [*grades])
 

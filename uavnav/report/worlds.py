@@ -180,12 +180,11 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
 def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
     """The measures of some episodes, a row a seed; the goal counts as truncation."""
-    ended = collided(flown)
+    ended, steps = collided(flown), flown["steps"].to_numpy()
+    over = ended.to_numpy(np.float64)
     survival = {
-        seed: stats.restricted_mean(
-            one["steps"].to_numpy(), np.asarray(ended[one.index], dtype=np.float64), limit
-        )
-        for seed, one in flown.groupby("seed")
+        seed: stats.restricted_mean(steps[own], over[own], limit)
+        for seed, own in flown.groupby("seed").indices.items()
     }
     crashed = {CRASHED: ended.groupby(flown["seed"]).mean()}
     return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival), **crashed)

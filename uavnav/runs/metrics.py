@@ -73,37 +73,30 @@ METRICS: dict[str, Metric] = {
 
 
 class Own(NamedTuple):
-    """A metric that only some tasks or layouts have, over all episodes of a seed."""
+    """A metric that only some tasks or layouts have: a sum over all episodes of a seed, per what it names."""
 
     label: str
     columns: tuple[str, ...]  # that a table must have
-    value: Callable[[pd.DataFrame], float]
+    counted: Callable[[pd.DataFrame], pd.Series]  # a number an episode
+    per: str = ""  # a column of `EPISODE_COLUMNS`, or nothing: per episode
 
 
 OWN: dict[str, Own] = {
     "passages_per_1000_steps": Own(
-        "passages per 1,000 steps",
-        ("passages",),
-        lambda rows: 1000 * rows["passages"].sum() / rows["steps"].sum(),
+        "passages per 1,000 steps", ("passages",), lambda rows: 1000 * rows["passages"], "steps"
     ),
-    "passages_per_episode": Own("passages per episode", ("passages",), lambda rows: rows["passages"].mean()),
-    "success": Own("success [%]", ("succeeded",), lambda rows: 100 * rows["succeeded"].mean()),
-    "collision": Own("collision [%]", ("succeeded",), lambda rows: 100 * collided(rows).mean()),
-    "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"].mean()),
+    "passages_per_episode": Own("passages per episode", ("passages",), lambda rows: rows["passages"]),
+    "success": Own("success [%]", ("succeeded",), lambda rows: 100 * rows["succeeded"]),
+    "collision": Own("collision [%]", ("succeeded",), lambda rows: 100 * collided(rows)),
+    "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"]),
     "spl": Own("SPL", ("succeeded", "shortest"), lambda rows: spl(rows)),
     "barn": Own("BARN's score", ("succeeded", "shortest", "danger"), lambda rows: barn(rows)),
-    "danger": Own(
-        "time in danger [%]", ("danger",), lambda rows: 100 * rows["danger"].sum() / rows["steps"].sum()
-    ),
-    "separation": Own(
-        "smallest separation [px]", ("separation",), lambda rows: float(rows["separation"].mean())
-    ),
+    "danger": Own("time in danger [%]", ("danger",), lambda rows: 100 * rows["danger"], "steps"),
+    "separation": Own("smallest separation [px]", ("separation",), lambda rows: rows["separation"]),
     "curvature": Own(
-        "curvature [degrees per 100 px]",
-        ("turned",),
-        lambda rows: 100 * rows["turned"].sum() / max(rows["distance"].sum(), 1),
+        "curvature [degrees per 100 px]", ("turned",), lambda rows: 100 * rows["turned"], "distance"
     ),
-    "jerk": Own("jerk [px/step³]", ("jerk",), lambda rows: rows["jerk"].sum() / rows["steps"].sum()),
+    "jerk": Own("jerk [px/step³]", ("jerk",), lambda rows: rows["jerk"], "steps"),
 }
 """By name; a table shows those whose columns it has."""
 
@@ -125,38 +118,42 @@ def collided(episodes: pd.DataFrame) -> pd.Series:
 
 def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
     """A row a seed, a column a measure: those of `PER_EPISODE` and of `OWN`."""
-    sums = (
-        flown.assign(hit=collided(flown))
-        .groupby("seed")
-        .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
-    )
-    rate = COLLISIONS_PER * sums["hits"] / sums["px"].where(sums["px"] > 0)
-    values = pd.DataFrame({"reward": sums["reward"], "collisions": rate, "survive": 100 * sums["up"]})
-    return values.join(own(flown))
+    of_seeds, hits = flown.groupby("seed"), collided(flown).groupby(flown["seed"]).sum()
+    px = of_seeds["distance"].sum()
+    values = {
+        "reward": of_seeds["reward"].mean(),
+        "collisions": COLLISIONS_PER * hits / px.where(px > 0),
+        "survive": 100 * of_seeds["truncated"].mean(),
+    }
+    return pd.DataFrame(values).join(own(flown))
 
 
-def spl(episodes: pd.DataFrame) -> float:
-    """Success weighted by path length (Anderson et al. 2018): success x shortest / max(flown, shortest)."""
+def spl(episodes: pd.DataFrame) -> pd.Series:
+    """Success weighted by path length (Anderson et al. 2018), an episode a row: success x shortest /
+    max(flown, shortest).
+    """
     shortest = episodes["shortest"]
-    return float((episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)).mean())
+    return episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)
 
 
-def barn(episodes: pd.DataFrame) -> float:
-    """The score of the BARN challenge (Xiao et al. 2022): the mean of success x optimal / steps, the steps
-    clipped to 4 to 8 times the optimal ones, which fly the shortest way at full speed. At most 0.25.
+def barn(episodes: pd.DataFrame) -> pd.Series:
+    """The score of the BARN challenge (Xiao et al. 2022), an episode a row: success x optimal / steps, the
+    steps clipped to 4 to 8 times the optimal ones, which fly the shortest way at full speed. At most 0.25.
     """
     optimal = episodes["shortest"] / FULL_SPEED
-    return float((episodes["succeeded"] * optimal / episodes["steps"].clip(4 * optimal, 8 * optimal)).mean())
+    return episodes["succeeded"] * optimal / episodes["steps"].clip(4 * optimal, 8 * optimal)
 
 
 def own(episodes: pd.DataFrame) -> pd.DataFrame:
     """The metrics of `OWN` that a table has the columns for: one row per seed, one column per metric."""
     there = {name: one for name, one in OWN.items() if set(one.columns) <= set(episodes.columns)}
-    found = {
-        seed: {name: one.value(rows) for name, one in there.items()}
-        for seed, rows in episodes.groupby("seed")
-    }
-    return pd.DataFrame.from_dict(found, orient="index", columns=list(there))
+    columns = {name: one.counted(episodes) for name, one in there.items()}
+    counted = pd.DataFrame(columns, index=episodes.index, dtype=np.float64)
+    means, sums = (getattr(counted.groupby(episodes["seed"]), kind)() for kind in ("mean", "sum"))
+    for name, one in there.items():
+        if one.per:
+            means[name] = sums[name] / episodes.groupby("seed")[one.per].sum().clip(lower=1)
+    return means
 
 
 def finished(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -149,11 +149,12 @@ def own(episodes: pd.DataFrame) -> pd.DataFrame:
     there = {name: one for name, one in OWN.items() if set(one.columns) <= set(episodes.columns)}
     columns = {name: one.counted(episodes) for name, one in there.items()}
     counted = pd.DataFrame(columns, index=episodes.index, dtype=np.float64)
-    means, sums = (getattr(counted.groupby(episodes["seed"]), kind)() for kind in ("mean", "sum"))
+    of_seeds = counted.groupby(episodes["seed"])
+    found = of_seeds.mean()
     for name, one in there.items():
         if one.per:
-            means[name] = sums[name] / episodes.groupby("seed")[one.per].sum().clip(lower=1)
-    return means
+            found[name] = of_seeds[name].sum() / episodes.groupby("seed")[one.per].sum().clip(lower=1)
+    return found
 
 
 def finished(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -1,5 +1,8 @@
 """Studies that lie apart: their tables of made-up rows with known answers."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +13,7 @@ from uavnav import stats, studies
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
 from uavnav.report import activations, ambiguities, horizon, learned, longer, noise
-from uavnav.report.longer import Where
+from uavnav.report.apart import Flight, flights
 from uavnav.runs import Run, draws, paper, trials
 from uavnav.studies import search
 from uavnav.studies.draws import plan
@@ -19,20 +22,26 @@ WIDE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 """Deviations of five seeds from their mean."""
 
 
-def where(settings, algorithm, layouts="test", frames=1, limit=10):
-    return Where(settings, algorithm, "tanh", layouts, limit, frames)
-
-
-def flown(told, layouts, frames=1):
-    """Rewards of five seeds by who flew, from their means."""
-    return {where(*who, layouts, frames): mean + WIDE for who, mean in told.items()}
+def flight(reward, algorithm="ppo", settings="fast", frames=1, gamma=0.99, scripted=24.0, **how):
+    """How five seeds of a configuration flew: one episode each, all of them to the time limit."""
+    config = {"activation": "tanh", "total_frames": frames, "gamma": gamma}
+    path = Path(settings, algorithm, "tanh")
+    run = SimpleNamespace(path=path, algorithm=algorithm, config=config, frames=frames)
+    how = {"layouts": "test", "max_steps": 10, "at": 1.0} | how
+    rows = pd.DataFrame({"seed": range(5), "truncated": True})
+    return Flight(f"{algorithm} tanh", run, how, rows, reward, scripted, reward - scripted)
 
 
 def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layouts():
     better = {("fast", "ppo"): 30.0, ("default", "ppo"): 20.0, ("fast", "dqn"): 10.0, ("tuned", "dqn"): 5.0}
     judged = {("fast", "ppo"): 24.0, ("default", "ppo"): 40.0, ("fast", "dqn"): 12.0, ("tuned", "dqn"): 50.0}
-    rewards = flown(better, "validation") | flown(judged, "test")
-    table = longer.table(rewards, {one: own - 24.0 for one, own in rewards.items()}, {("test", 10): 24.0})
+    table = longer.table(
+        [
+            flight(mean + WIDE, algorithm, settings, layouts=layouts)
+            for layouts, told in (("validation", better), ("test", judged))
+            for (settings, algorithm), mean in told.items()
+        ]
+    )
     (leader,) = table.query("layouts == 'test' and leads").to_dict("records")
     assert (leader["settings"], leader["algorithm"], leader["value"]) == ("fast", "ppo", 24.0)
     assert leader["lead"] == pytest.approx(24 - 12)  # DQN tuned is better there, but was not chosen
@@ -42,9 +51,8 @@ def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layou
 
 
 def test_a_gain_is_seed_by_seed_over_the_length_before():
-    short, long = where("fast", "ppo"), where("fast", "ppo", frames=3)
-    rewards = {short: 100 + 50 * WIDE, long: 120 + 50 * WIDE + 0.1 * WIDE[::-1]}
-    table = longer.table(rewards, dict.fromkeys(rewards, np.zeros(5)), {}).set_index("frames")
+    short, long = 100 + 50 * WIDE, 120 + 50 * WIDE + 0.1 * WIDE[::-1]
+    table = longer.table([flight(short), flight(long, frames=3)]).set_index("frames")
     assert table.loc[3, "gain"] == pytest.approx(20)
     assert table.loc[3, "gain_high"] - 20 == pytest.approx(2.776 * 0.1 * np.sqrt(2.5 / 5), abs=1e-3)
     assert (table.loc[1, "trend"], table.loc[3, "trend"]) == ("", "rises")
@@ -83,8 +91,8 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
         evaluated(tmp_path / f"noise/{trained:g}/ppo/tanh", reward, protocol, faults=faults)
     rule = rows(0, (9, 9, 0, 0, 0, 9, 2.0), (9, 9, 0, 0, 0, 9, 3.0)).assign(layout=[0, 1])
     kept(tmp_path / "noise/baselines", protocol.file("reactive"), rule, protocol)
-    tables, left_out = noise.gather([tmp_path])
-    table = tables["noise"].set_index(["who", "trained"])
+    found, left_out = flights([tmp_path], "noise")
+    table = noise.table(found).set_index(["who", "trained"])
     assert left_out == []
     assert table.loc[("PPO tanh", 5.0), ["flown", "value", "gap", "gain", "above"]].tolist() == [
         5,
@@ -99,9 +107,15 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
 
 
 def test_folders_without_these_studies_have_no_tables(tmp_path):
-    assert [
-        study.gather([tmp_path]) for study in (longer, noise, ambiguities, activations, horizon, learned)
-    ] == [({}, [])] * 6
+    assert [study.gather([tmp_path]) for study in (ambiguities, activations, learned)] == [({}, [])] * 3
+    assert [flights([tmp_path], study.STUDY) for study in (longer, noise, horizon)] == [([], [])] * 3
+
+
+def test_scripted_policies_without_a_run_are_no_study(tmp_path):
+    protocol = Protocol("test", 1, 9)
+    kept(tmp_path / "noise/baselines", protocol.file("reactive"), rows(0, (9, 9, 0, 0, 0, 9, 2.0)), protocol)
+    write_run(tmp_path / "noise/ppo/tanh", rows(0, (9, 9, 0, 0, 0, 9, 1.0)))  # which has flown no episode
+    assert flights([tmp_path], "noise") == ([], [])
 
 
 def test_mahalanobis_distance_by_hand():
@@ -306,19 +320,17 @@ def test_runs_of_the_study_become_means_over_seeds_of_training_final_policies_an
 
 
 def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps():
-    short = horizon.Where(2_000, 10, 0.99)
-    flown = {
-        short: horizon.Seeds(100 + WIDE, 50 + WIDE),
-        short._replace(gamma=0.998): horizon.Seeds(104 + WIDE, 60 + WIDE),
-        short._replace(gamma=0.998, frames=20): horizon.Seeds(90 + WIDE, 70 + WIDE),
-    }
-    table = horizon.table(flown, {2_000: 95.0}).set_index(["frames", "gamma"])
+    flown = [flight(100 + WIDE, frames=10), flight(104 + WIDE, frames=10, gamma=0.998, scripted=95.0)]
+    later = flight(90 + WIDE, frames=20, gamma=0.998)
+    later.rows["truncated"] = [True, True, True, False, False]
+    table = horizon.table([*flown, later]).set_index(["frames", "gamma"])
     half = 2.306 * np.sqrt(2.5 / 5 + 2.5 / 5)  # t of 8 degrees of freedom
     found = table.loc[(10, 0.998)]
-    assert (found["gain"], found["value"], found["survive"], found["scripted"]) == (4, 104, 60, 95)
+    assert (found["gain"], found["value"], found["survive"], found["scripted"]) == (4, 104, 100, 95)
     assert found["gain_high"] - found["gain"] == pytest.approx(half, abs=1e-3)
     assert np.isnan(table.loc[[(10, 0.99), (20, 0.998)], "gain"]).all()  # itself, and alone
     assert table["verdict"].tolist() == ["–", "more", "–"]
+    assert table.loc[(20, 0.998), "survive"] == pytest.approx(60)
     assert "gamma 0.998: 90" in horizon.figure(table.reset_index()).alt
 
 

@@ -61,7 +61,7 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
     flown, left_out = flights(folders, STUDY)
     measured: dict[Where, dict[str, Array]] = {}
     for one in flown:
-        if one.run is None or not len(one.reward):
+        if one.run is None:
             continue
         try:
             run = Run(one.run.path)
@@ -82,16 +82,13 @@ def _trained(run: Run) -> dict[str, Array]:
     return {REWARD: reward, **{label: late[column].mean().to_numpy() for label, column in known.items()}}
 
 
-def table(measured: Measured) -> pd.DataFrame:
+@columns(*Where._fields, "configuration", "measure", *NUMBERS)
+def table(measured: Measured) -> Rows:
     """Means over seeds and their 95 % intervals: a row a configuration and measure."""
-    rows = [
-        where._asdict()
-        | {"configuration": name(where.algorithm, where.activation) + ", LayerNorm" * where.layer_norm}
-        | {"measure": measure, **stats.difference([seeds])._asdict()}
-        for where in itertools.starmap(Where, itertools.product(ALGORITHMS, (False, True), COMPARED))
-        for measure, seeds in measured.get(where, {}).items()
-    ]
-    return pd.DataFrame(rows)
+    for where in itertools.starmap(Where, itertools.product(ALGORITHMS, (False, True), COMPARED)):
+        who = name(where.algorithm, where.activation) + ", LayerNorm" * where.layer_norm
+        for measure, seeds in measured.get(where, {}).items():
+            yield [*where, who, measure, *stats.difference([seeds])]
 
 
 def _of(measured: Measured, algorithm: str, layer_norm: bool, measure: str) -> list[Array]:

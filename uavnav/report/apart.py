@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,9 @@ from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
 from uavnav.tasks.protocol import SCRIPTS, TASK_NAMES
 
+GREEDY = {"pqn"}
+"""Algorithms that are judged greedily: an action at random, which learning needs, is none of theirs."""
+
 
 def named(name: str, found: Interval) -> dict[str, float]:
     """An interval as the columns of a table."""
@@ -30,17 +33,14 @@ class Flight(NamedTuple):
     who: str  # the configuration, or the scripted policy
     run: Run | None  # None: of a scripted policy
     how: dict[str, Any]  # `task`, `layouts`, `max_steps`, `faults`, `shield`, and `at`, the share of training
-    rows: pd.DataFrame  # sampled episodes, or greedy ones where these are asked for
+    rows: pd.DataFrame  # sampled episodes, or greedy ones of an algorithm of `GREEDY`
     reward: Array  # a seed's mean over them, [S]
-    gap: Array  # the same minus the reward of the scripted policy `reactive` on the same layouts, [S]
+    scripted: float  # the reward of the scripted policy `reactive`, flown alike; NaN where it was not
+    gap: Array  # `reward` minus that of `reactive` on the same layouts, [S]
 
 
-def flights(
-    folders: Sequence[Path], study: str, greedy: Collection[str] = ()
-) -> tuple[list[Flight], list[str]]:
-    """All evaluations of a study, and a line for what cannot be read; seeds are in order.
-
-    greedy: algorithms whose policies are judged greedily, the others sampled.
+def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str]]:
+    """All evaluations of a study, none without a run; a line for what cannot be read; seeds are in order.
 
     Raises:
         RunError: a folder cannot be read.
@@ -58,13 +58,14 @@ def flights(
             try:
                 run = Run(path, rows=False)
                 who = name(run.algorithm, run.config["activation"])
-                mode = MODES[run.algorithm not in greedy]
+                mode = MODES[run.algorithm not in GREEDY]
                 for file in run.evaluations():
                     rows = read_table(file, EVALUATED | {"mode": "object"}, "evaluate the run again")
                     found.append(_flight(who, run, rows[rows["mode"] == mode], rules))
             except RunError as error:
                 left_out.append(one_line(error))
-    return found, left_out
+    found = [one for one in found if len(one.reward)]
+    return (found if any(one.run for one in found) else []), left_out
 
 
 def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:
@@ -83,6 +84,7 @@ def _flight(
     who: str, run: Run | None, rows: pd.DataFrame, rules: Mapping[tuple[Any, ...], pd.DataFrame]
 ) -> Flight:
     how = _how(rows, run)
-    rule = rules.get(_key(how), pd.DataFrame())
+    rule = rules.get(_key(how), rows[:0])
+    own, scripted = (episodes.groupby("seed")["reward"].mean() for episodes in (rows, rule))
     gap = np.empty(0) if rule.empty or rows.empty else to_rule(rows, rule)
-    return Flight(who, run, how, rows, rows.groupby("seed")["reward"].mean().to_numpy(), gap)
+    return Flight(who, run, how, rows, own.to_numpy(), float(scripted.mean()), gap)

@@ -29,6 +29,7 @@ from uavnav.report import (
     whys,
     worlds,
 )
+from uavnav.report.apart import flights
 from uavnav.report.claims import (
     CLAIMS,
     COLUMNS,
@@ -199,9 +200,12 @@ def gather(
         if of_worlds:
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
-        for study in (longer, ambiguities, noise, activations, horizon, learned):
-            own, unread_too = study.gather(folders)
-            numbers |= own
+        for study in (longer, noise, horizon):
+            found_apart, unread_too = flights(folders, study.STUDY)
+            numbers |= {study.STUDY: study.table(found_apart)} if found_apart else {}
+            left_out += unread_too
+        for gathered, unread_too in (one.gather(folders) for one in (ambiguities, activations, learned)):
+            numbers |= gathered
             left_out += unread_too
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)

@@ -1,14 +1,12 @@
 """The study `horizon`: what the discount gamma does, by how long PPO trains and how long an episode may last.
 
 The paper prints no gamma; Stable-Baselines3's default, 0.99, is what it most likely had: steps beyond some
-hundred hardly count. Letters: S seeds of a configuration.
+hundred hardly count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import matplotlib
 import numpy as np
@@ -17,65 +15,39 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.colours import colours
 from uavnav.report import charts
-from uavnav.report.apart import flights, named
-from uavnav.report.frames import RULE
-from uavnav.stats import Array
+from uavnav.report.apart import Flight, named
 
 STUDY = "horizon"
 USUAL = 0.99
 """The gamma that others are compared with."""
 
 
-class Where(NamedTuple):
-    """Which policies, and how they were flown."""
-
-    limit: int  # of an episode's steps
-    frames: int  # of training
-    gamma: float
-
-
-class Seeds(NamedTuple):
-    """A number a seed, [S] each."""
-
-    reward: Array  # mean over test episodes, sampled
-    survive: Array  # share of them that reach the time limit [%]
-
-
-def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """The study's table by its name, none where there is no such study; a line for what cannot be read."""
-    found, left_out = flights(folders, STUDY)
-    flown = {
-        Where(one.how["max_steps"], round(one.how["at"] * one.run.frames), one.run.config["gamma"]): Seeds(
-            one.reward, 100 * one.rows.groupby("seed")["truncated"].mean().to_numpy()
-        )
-        for one in found
-        if one.run and len(one.reward)
-    }
-    rules = {one.how["max_steps"]: float(one.reward.mean()) for one in found if one.who == RULE}
-    return ({STUDY: table(flown, rules)} if flown else {}), left_out
-
-
-def table(flown: Mapping[Where, Seeds], rules: Mapping[int, float]) -> pd.DataFrame:
+def table(found: Sequence[Flight]) -> pd.DataFrame:
     """A row a time limit, length of training and gamma.
 
-    rules: the scripted policy's reward by time limit. Columns: n; `value`, the reward; `survive`; `gain`, the
-    reward over that with `USUAL`; each with its 95 % interval; `scripted`; `verdict`, by the interval of the
-    gain: more, less or open, or – where there is none.
+    Columns: n; `value`, the reward; `survive`, the share of episodes that reach the time limit [%]; `gain`,
+    the reward over that with `USUAL`; each with its 95 % interval; `scripted`, the scripted policy's reward;
+    `verdict`, by the interval of the gain: more, less or open, or – where there is none.
     """
+    flown = {
+        (one.how["max_steps"], round(one.how["at"] * one.run.frames), one.run.config["gamma"]): one
+        for one in found
+        if one.run
+    }
     rows = []
-    for where, own in sorted(flown.items()):
-        usual = flown.get(where._replace(gamma=USUAL)) if where.gamma != USUAL else None
-        gain = stats.difference([own.reward], [usual.reward]) if usual else stats.NONE
+    for limit, frames, gamma in sorted(flown):
+        own = flown[limit, frames, gamma]
+        usual = flown.get((limit, frames, USUAL)) if gamma != USUAL else None
+        survive = 100 * own.rows.groupby("seed")["truncated"].mean().to_numpy()
         rows.append(
-            where._asdict()
-            | {"n": len(own.reward), "scripted": rules.get(where.limit, np.nan)}
+            {"limit": limit, "frames": frames, "gamma": gamma, "n": len(own.reward), "scripted": own.scripted}
             | named("value", stats.difference([own.reward]))
-            | named("survive", stats.difference([own.survive]))
-            | named("gain", gain)
+            | named("survive", stats.difference([survive]))
+            | named("gain", stats.difference([own.reward], [usual.reward]) if usual else stats.NONE)
         )
-    found = pd.DataFrame(rows)
-    verdicts = [found["gain"].isna(), found["gain_low"] > 0, found["gain_high"] < 0]
-    return found.assign(verdict=np.select(verdicts, ["–", "more", "less"], "open"))
+    table = pd.DataFrame(rows)
+    verdicts = [table["gain"].isna(), table["gain_low"] > 0, table["gain_high"] < 0]
+    return table.assign(verdict=np.select(verdicts, ["–", "more", "less"], "open"))
 
 
 @matplotlib.rc_context(style.STYLE)

@@ -17,8 +17,6 @@ from uavnav.runs.metrics import OWN, PER_EPISODE, of_episodes
 from uavnav.tasks.faults import from_words
 
 STUDY, AHEAD, SHIELDED = "learned", "learned_ahead", "learned_shielded"
-GREEDY = {"pqn"}
-"""Algorithms of it that are judged greedily: an action at random, which learning needs, is none of theirs."""
 USUAL = 2_000
 """Steps, the time limit of the study's evaluations; a goal has less."""
 MEASURES = {
@@ -37,8 +35,8 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
     learned: a row a task, policy, shield and measure; learned_ahead: of `ahead`; learned_shielded: of
     `shielded`, also for the configurations of the study `paper`.
     """
-    found, left_out = flights(folders, STUDY, GREEDY)
-    if not any(one.run for one in found):
+    found, left_out = flights(folders, STUDY)
+    if not found:
         return {}, left_out
     found = [one._replace(who=f"{one.run.algorithm.upper()} best") if one.run else one for one in found]
     of_paper, unread = flights(folders, "paper")

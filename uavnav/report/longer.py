@@ -1,13 +1,12 @@
 """The study `longer`: who leads after 1, 3 and 10 million frames, by how much, and who passes the scripted
 policy.
 
-Who leads is chosen on validation layouts and judged on test layouts. Letters: S seeds of a configuration.
+Who leads is chosen on validation layouts and judged on test layouts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib
@@ -16,9 +15,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report import charts
-from uavnav.report.apart import flights, named
-from uavnav.report.frames import RULE
-from uavnav.stats import Array
+from uavnav.report.apart import Flight, named
 from uavnav.tasks.protocol import MAX_STEPS
 
 STUDY = "longer"
@@ -37,64 +34,53 @@ class Where(NamedTuple):
     frames: int  # of training
 
 
-def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """The study's table by its name, none where there is no such study; a line for what cannot be read."""
-    found, left_out = flights(folders, STUDY)
+def table(found: Sequence[Flight]) -> pd.DataFrame:
+    """A row a configuration, split, time limit and length of training.
+
+    Columns: n and `value`, the reward; `gap` to the scripted policy, whose reward is `scripted`, and how many
+    seeds are `above` it; `gain` over the length before, seed by seed, and its `trend`; `lead` over the best
+    configuration of the other algorithm, and whether it `leads` all. The best are chosen on `validation`.
+    """
     flown = {}
     for one in found:
-        if one.run and len(one.reward):
+        if one.run:
             who = one.run.path.parent.parent.name, one.run.algorithm, one.run.config["activation"]
             frames = round(one.how["at"] * one.run.config["total_frames"])
             flown[Where(*who, one.how["layouts"], one.how["max_steps"], frames)] = one
-    rules = [one for one in found if one.who == RULE]
-    scripted = {(one.how["layouts"], one.how["max_steps"]): float(one.reward.mean()) for one in rules}
-    rewards, gaps = ({where: getattr(one, of) for where, one in flown.items()} for of in ("reward", "gap"))
-    return ({STUDY: table(rewards, gaps, scripted)} if flown else {}), left_out
-
-
-def table(
-    rewards: Mapping[Where, Array], gaps: Mapping[Where, Array], scripted: Mapping[tuple[str, int], float]
-) -> pd.DataFrame:
-    """A row a configuration, split, time limit and length of training.
-
-    rewards, gaps: of the seeds, [S] each, in the same order; scripted: the scripted policy's reward by split
-    and time limit. Columns: n and `value`, the reward; `gap` to the scripted policy, and how many seeds are
-    `above` it; `gain` over the length before, seed by seed, and its `trend`; `lead` over the best
-    configuration of the other algorithm, and whether it `leads` all. The best are chosen on `validation`.
-    """
-    algorithms = {where.algorithm for where in rewards}
+    algorithms = {where.algorithm for where in flown}
     rows = []
-    for where, own in rewards.items():
-        other = best(rewards, where, algorithms - {where.algorithm})
-        shorter = max((one.frames for one in rewards if one.frames < where.frames), default=0)
-        before = rewards.get(where._replace(frames=shorter))
-        gain = stats.NONE if before is None else stats.difference([own - before])
+    for where, own in flown.items():
+        other = best(flown, where, algorithms - {where.algorithm})
+        shorter = max((one.frames for one in flown if one.frames < where.frames), default=0)
+        before = flown.get(where._replace(frames=shorter))
+        gain = stats.NONE if before is None else stats.difference([own.reward - before.reward])
+        lead = stats.NONE if other is None else stats.difference([own.reward], [flown[other].reward])
         rows.append(
             where._asdict()
-            | {"n": len(own), "above": int((gaps[where] > 0).sum())}
-            | stats.difference([own])._asdict()
-            | named("gap", stats.difference([gaps[where]]))
-            | named("lead", stats.NONE if other is None else stats.difference([own], [rewards[other]]))
+            | {"n": len(own.reward), "above": int((own.gap > 0).sum())}
+            | stats.difference([own.reward])._asdict()
+            | named("gap", stats.difference([own.gap]))
+            | named("lead", lead)
             | named("gain", gain)
-            | {"trend": "" if before is None else trend(gain, before.mean())}
-            | {"leads": best(rewards, where, algorithms) == where}
-            | {"scripted": scripted.get((where.layouts, where.limit), np.nan)}
+            | {"trend": "" if before is None else trend(gain, before.reward.mean())}
+            | {"leads": best(flown, where, algorithms) == where}
+            | {"scripted": own.scripted}
         )
     by = ["layouts", "limit", "frames", "algorithm", "settings", "activation"]
     return pd.DataFrame(rows).sort_values(by, ignore_index=True)
 
 
-def best(rewards: Mapping[Where, Array], where: Where, algorithms: Collection[str]) -> Where | None:
+def best(flown: Mapping[Where, Flight], where: Where, algorithms: Collection[str]) -> Where | None:
     """Of some algorithms, the configuration that earns most on validation layouts with the same time limit
     and length, as it was flown on the layouts of `where`; None where there is none.
     """
     judged = {
-        one: own.mean()
-        for one, own in rewards.items()
+        one: own.reward.mean()
+        for one, own in flown.items()
         if one[3:] == ("validation", *where[4:]) and one.algorithm in algorithms
     }
     found = max(judged, key=lambda one: judged[one])._replace(layouts=where.layouts) if judged else None
-    return found if found in rewards else None
+    return found if found in flown else None
 
 
 def trend(gain: stats.Interval, before: float) -> str:

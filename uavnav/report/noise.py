@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.apart import Flight, flights, named
+from uavnav.report.apart import Flight, named
 from uavnav.tasks.faults import from_words
 
 STUDY = "noise"
-
-
-def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """The study's table by its name, none where there is no such study; a line for what cannot be read."""
-    found, left_out = flights(folders, STUDY)
-    learned = any(one.run for one in found)
-    return ({STUDY: table(found)} if learned else {}), left_out
 
 
 def table(found: Sequence[Flight]) -> pd.DataFrame:

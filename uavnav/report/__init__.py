@@ -72,7 +72,7 @@ def report(
             raise
         found = [], []
     finished = {run.path for one in found[0] for run in one.runs}  # some of them since the line above
-    begun = [path for path in begun if path not in finished]
+    begun = {path: one for path, one in begun.items() if path not in finished}
     own = mine.gather(found[0], begun, read, where, tell)
     left_out = [line for line in found[1] if not line.startswith(tuple(f"{path}:" for path in begun))]
     if own is not None and own.claims:

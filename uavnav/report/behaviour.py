@@ -59,19 +59,15 @@ def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
     path = run.path / ARENA if in_arena else run.behaviour_file()
     if not path.exists():
         return None
-    task = _task(run, path)
-    task = task.replace(layouts=EMPTY_ARENA) if in_arena else task
-    heading = torch.tensor(HEADINGS) if in_arena else episodes.headings(task, len(task.layouts))
-    return retrace(_actions(run, path, task), task.layouts, heading, task.world)
-
-
-def _task(run: Run, path: Path) -> WrappedTask:
     if (kind := run.config.get("task", "drone")) != "drone":  # whose `World` has other fields
         raise RunError(f"{path}: episodes of task={kind}; {ONLY}")
     try:
-        return make_task("test", run.config.get("world"))
+        task = make_task("test", run.config.get("world"))
     except (TypeError, ValueError) as error:
         raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
+    task = task.replace(layouts=EMPTY_ARENA) if in_arena else task
+    heading = torch.tensor(HEADINGS) if in_arena else episodes.headings(task, len(task.layouts))
+    return retrace(_actions(run, path, task), task.layouts, heading, task.world)
 
 
 def _actions(run: Run, path: Path, task: WrappedTask) -> pd.DataFrame:

@@ -89,8 +89,6 @@ def _scripted(run: str | None) -> WrappedTask:
     path = Path(run or "") / "config.yaml"
     settings = read_settings(path) if run is not None and path.exists() else {}
     name = settings.get("task", "drone")
-    if not settings:
-        return make_task(EMPTY)
     if name not in TASKS:
         noted = read_settings(path.with_name("meta.json")).get("plugins", {})
         raise RunError(f"{path}: task={name}{plugins.missing(noted) or did_you_mean(name, TASKS)}")
@@ -103,10 +101,10 @@ def _kept(name: str, protocol: Mapping[str, Any], run: str | None) -> Contender 
     """A script with episodes that a folder above a run keeps, as `uavnav evaluate` wrote them; else None."""
     if name not in SCRIPTS or run is None or protocol != Protocol().header():
         return None
-    path = Path(run) / "config.yaml"
-    if not path.exists() or read_settings(path).get("task", "drone") != "drone":
+    path = Path(run).absolute() / "config.yaml"
+    if read_settings(path).get("task", "drone") != "drone":
         return None
-    for file in (folder / "baselines" / f"{name}.parquet" for folder in path.absolute().parents):
+    for file in (folder / "baselines" / f"{name}.parquet" for folder in path.parents):
         if file.exists():
             rows = read_table(file, EVALUATED, "evaluate it again")
             place = _place("drone", "eq14", World().model_dump())
@@ -142,10 +140,11 @@ def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) 
     own = configuration.settings
     world = {key.removeprefix("world."): value for key, value in own.items() if key.startswith("world.")}
     place = _place(own["task"], own["reward"], world)
-    if rows is None:
-        return Contender(name, configurations.EMPTY, {}, place, configuration, configuration.algorithm)
-    protocol = {key: rows.attrs.get(key, value) for key, value in Protocol().header().items()}
-    sampled = rows[rows["mode"] == MODE].drop(columns="mode")
+    protocol: dict[Any, Any] = {}
+    sampled = configurations.EMPTY
+    if rows is not None:
+        protocol = {key: rows.attrs.get(key, value) for key, value in Protocol().header().items()}
+        sampled = rows[rows["mode"] == MODE].drop(columns="mode")
     return Contender(name, sampled, protocol, place, configuration, configuration.algorithm)
 
 
@@ -226,9 +225,13 @@ def pairs(contenders: Sequence[Contender]) -> tables.Rows:
         known = min(pair["n_a"], pair["n_b"]) > 1
         probability = f"{pair['probability']:.2f}" if known else tables.NOTHING
         p = tables.number(pair["p_holm"], 3) if known else tables.NOTHING
-        shown = tables.with_interval(*more[:3], 0 if abs(more.value) >= 100 else 1)
-        rows.append([a.name, b.name, shown, f"{more.n} {over}", probability, p])
+        rows.append([a.name, b.name, rounded(more), f"{more.n} {over}", probability, p])
     return rows
+
+
+def rounded(found: stats.Interval) -> str:
+    """A reward with its interval; hundreds are whole."""
+    return tables.with_interval(*found[:3], 0 if abs(found.value) >= 100 else 1)
 
 
 def caution(contenders: Sequence[Contender]) -> str:

@@ -216,12 +216,7 @@ def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configur
     labelled = []
     for configuration, own in zip(configurations, settings, strict=True):
         changes = ", ".join(f"{key}={own.get(key)}" for key in usual if own.get(key) != usual[key])
-        labelled.append(
-            (
-                f"{configuration.activation} ({changes})" if changes else configuration.activation,
-                configuration,
-            )
-        )
+        labelled.append((configuration.activation + f" ({changes})" * bool(changes), configuration))
     labelled.sort(key=lambda pair: (*order((pair[1].algorithm, pair[1].activation)), pair[0]))
     return labelled, ", ".join(f"{key}={value}" for key, value in usual.items())
 
@@ -239,21 +234,19 @@ def episodes_of(configuration: Configuration, definition: str) -> pd.DataFrame:
 
 def read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
     """A row a seed and a column a metric, worked out once; no rows without episodes, or an unknown rhythm."""
-    known = configuration.known
-    if definition not in known:
-        known[definition] = _read_as(configuration, definition)
-    return known[definition]
-
-
-def _read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
+    if (known := configuration.known.get(definition)) is not None:
+        return known
     episodes, own = episodes_of(configuration, definition), configuration.settings
     if definition == PER_FRAME:
-        return per_frame(episodes, own["frames"])
-    if definition == LOG_CURVE:
-        known = ALGORITHMS.get(configuration.algorithm)
-        rhythm = known.rhythm(own) if known else None
-        return log_curve(episodes, own["frames"], *rhythm) if rhythm else per_seed(episodes[:0])
-    return per_seed(episodes, ratio_of_means=definition == TOTALS)
+        found = per_frame(episodes, own["frames"])
+    elif definition == LOG_CURVE:
+        algorithm = ALGORITHMS.get(configuration.algorithm)
+        rhythm = algorithm.rhythm(own) if algorithm else None
+        found = log_curve(episodes, own["frames"], *rhythm) if rhythm else per_seed(episodes[:0])
+    else:
+        found = per_seed(episodes, ratio_of_means=definition == TOTALS)
+    configuration.known[definition] = found
+    return found
 
 
 def windowed(configuration: Configuration, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:

@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import matplotlib
-import numpy as np
 import pandas as pd
 
 from uavnav import stats, style

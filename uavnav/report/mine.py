@@ -24,7 +24,6 @@ from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
-from uavnav.stats import Interval
 from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
@@ -34,10 +33,10 @@ YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
 """What the ranking says of episodes besides their reward: the first that they have."""
-
-
 Looks = Mapping[str, tuple[str, str]]
 """A colour and a line by the name of a run."""
+Begun = tuple[Configuration, str]
+"""A run, and how far it is."""
 
 
 class Group(NamedTuple):
@@ -73,21 +72,22 @@ class Mine(NamedTuple):
 
 def gather(
     found: Sequence[Configuration],
-    unfinished: Sequence[Path],
+    unfinished: Mapping[Path, Begun],
     folders: Sequence[Path],
     out: Path,
     tell: Callable[[str], None],
 ) -> Mine | None:
     """What is said of the runs without a study; None where all of them have one.
 
-    found: finished ones of all kinds; out: where scripted episodes are kept; tell: as of `report`.
+    found: finished ones of all kinds; unfinished: as the function of that name gives them; out: where
+    scripted episodes are kept; tell: as of `report`.
     """
-    own = {
+    own: dict[Path, Begun] = {
         one.runs[0].path: (one, f"{least_to_most([one.n_seeds], 'seed')}, {one.settings['frames']:,} frames")
         for one in found
         if not one.study
     }
-    own |= {path: begin(path) for path in unfinished}
+    own |= unfinished
     if not own:
         return None
     paths, contenders = {}, []
@@ -120,11 +120,10 @@ def gather(
     )
 
 
-def unfinished(folders: Sequence[Path]) -> list[Path]:
-    """The folders of runs that are training or were stopped and name no study."""
-    paths = dict.fromkeys(path for folder in folders for path in run_folders(folder)[0])
-    found = []
-    for path in paths:
+def unfinished(folders: Sequence[Path]) -> dict[Path, Begun]:
+    """The runs that are training or were stopped and name no study, by their folders."""
+    found = {}
+    for path in dict.fromkeys(path for folder in folders for path in run_folders(folder)[0]):
         try:
             meta = read_settings(path / "meta.json")
             config = read_settings(path / "config.yaml")
@@ -133,23 +132,19 @@ def unfinished(folders: Sequence[Path]) -> list[Path]:
         if not {"algorithm", "activation", "total_frames"} <= config.keys():
             continue  # no run's, as `collect` says
         if meta.get("status") != FINISHED and not meta.get("study"):
-            found.append(path)
+            found[path] = _begun(path, config, meta)
     return found
 
 
-def begin(path: Path) -> tuple[Configuration, str]:
+def _begun(path: Path, config: Mapping[str, Any], meta: Mapping[str, Any]) -> Begun:
     """An unfinished run as far as it is, and how far that is: its snapshots' episodes."""
-    config, meta, told = (
-        read_settings(path / "config.yaml"),
-        read_settings(path / "meta.json"),
-        progress(path),
-    )
+    told = progress(path)
     frames, episodes = _snapshots(path)
     frames, total = max(frames, told.get("frames", 0)), config["total_frames"]
     run = heard(told, time.time()) and meta.get("status") == "running"
-    algorithm, activation = config["algorithm"], config["activation"]
     status = f"{'running' if run else 'stopped'} at {frames:,} of {total:,} frames"
     settings = settings_of(config, meta, max(frames, 1))
+    algorithm, activation = config["algorithm"], config["activation"]
     return Configuration(algorithm, activation, settings, [], episodes, EMPTY), status
 
 
@@ -280,18 +275,14 @@ def _ranking(
     rows = [["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "training"]]
     for one in shown:
         mean, over = one.reward
-        numbers = _number(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
+        numbers = compare.rounded(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
         if one is scripted:
             rows.append([f"scripted policy, `{RULE}`", *numbers, tables.NOTHING, "none"])
         else:
-            gap = _number(ahead(one, scripted)[0]) if scripted is not None else tables.NOTHING
+            gap = compare.rounded(ahead(one, scripted)[0]) if scripted is not None else tables.NOTHING
             rows.append([one.name, *numbers, gap, status[one.name]])
     late = [one for one in ordered if not len(one.episodes)]
     return rows + [[one.name, "not evaluated", *[tables.NOTHING] * 3, status[one.name]] for one in late]
-
-
-def _number(found: Interval) -> str:
-    return tables.with_interval(*found[:3], 0 if abs(found.value) >= 100 else 1)
 
 
 def _best(first: Group, paths: Mapping[str, Path]) -> str:
@@ -302,10 +293,10 @@ def _best(first: Group, paths: Mapping[str, Path]) -> str:
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
     mean, over = best.reward
-    said = f"Of your runs, **{best.name}** earns most: {_number(mean)} of reward an episode"
+    said = f"Of your runs, **{best.name}** earns most: {compare.rounded(mean)} of reward an episode"
     said += f" (95 % interval over {over})."
     if first.scripted is not None:
-        said += f" The scripted policy earns {_number(first.scripted.reward[0])}."
+        said += f" The scripted policy earns {compare.rounded(first.scripted.reward[0])}."
     return f"{said} {compare.caution([one for one in first.contenders if len(one.episodes)])}".strip()
 
 

@@ -79,10 +79,8 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(place, flown)
             facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
-            who = dict(zip(("world", "algorithm", "activation"), key, strict=True)) | {
-                "seeds": len(run.seeds)
-            }
-            made.append({"run": str(path), **who, **facts, **(run.meta.get("machine") or {})})
+            who = {"run": str(path), "world": world, "algorithm": run.algorithm, "activation": key[-1]}
+            made.append({**who, "seeds": len(run.seeds), **facts, **(run.meta.get("machine") or {})})
         except (RunError, KeyError) as error:
             left_out.append(one_line(error))
     if not seeds:

@@ -937,7 +937,7 @@ CASES = [
         f"{RENDER} --out x.bmp"),
     argument("a picture's folder", lambda f: save_picture(f / "no/x.png"), "no/x.png",
         "a path that can be written", f"{RENDER} --out {{}}/no/x.png"),
-    *(word(f"{VERIFY} --frames={n}", f"--frames {n}: ", "give a number of at least 1") for n in (0, -5)),
+    *(word(f"{VERIFY} --frames={n}", f"frames={n}; ", "give a number of at least 1") for n in (0, -5)),
     # words of other commands
     word("layouts --split trian", "argument --split: trian", "did you mean train? choose from all, test"),
     word("layouts --slpit train", "there is no argument --slpit", "did you mean --split?"),

@@ -54,19 +54,18 @@ def remove(path: Path) -> None:
 
 
 def check(path: str | Path, most: int = MEMORY_BYTES) -> None:
-    """Raise an OSError unless a regular file of at most so many bytes is there."""
-    _check(os.stat(_named(path)), most)
+    """Raise an OSError unless a regular file of at most so many bytes is there: a pipe would wait."""
+    facts = os.stat(_named(path))
+    if not stat.S_ISREG(facts.st_mode):
+        raise OSError(errno.EINVAL, "it is no file")
+    if facts.st_size > most:
+        raise OSError(errno.EFBIG, f"it has {facts.st_size:,} bytes, more than {most:,}")
 
 
 def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
     """What a regular file contains; raises an OSError as `check` does, or where it cannot be read."""
-    descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
-    try:
-        _check(os.fstat(descriptor), most)
-        with open(descriptor, "rb", closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(descriptor)
+    check(path, most)
+    return Path(path).read_bytes()
 
 
 def facts(kind: type[Kind], said: Any) -> Kind:
@@ -150,10 +149,3 @@ def _named(path: str | Path) -> str | Path:
     if "\0" in str(path):  # Python would raise a ValueError
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     return path
-
-
-def _check(facts: os.stat_result, most: int) -> None:
-    if not stat.S_ISREG(facts.st_mode):
-        raise OSError(errno.EINVAL, "it is no file")
-    if facts.st_size > most:
-        raise OSError(errno.EFBIG, f"it has {facts.st_size:,} bytes, more than {most:,}")

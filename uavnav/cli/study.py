@@ -145,30 +145,26 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(f"trials={own.trials}: study {study.name} neither tunes nor draws; leave it out")
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
-    given = own.seeds, own.frames
     make_engine = engines.chosen(own.engine, of_engine, Keys.names())
+    given, folder = (own.seeds, own.frames), out if arguments.status else out.resolve()
+    plan = search.plan(study, folder, own.trials, *given)
+    drawing = draws.plan(study, folder, own.trials, *given)
+    found = drawing.screened() if drawing else studies.configurations(study, folder, *given)
     if arguments.status:
-        drawing = draws.plan(study, out, own.trials, *given)
-        known = (
-            drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
-        )
-        rows = [status(one) for one in known]
-        if (plan := search.plan(study, out, own.trials, *given)) is not None:
+        rows = [status(one) for one in (*found, *(drawing.nearest() if drawing else ()))]
+        if plan is not None:
             rows += [status(one) | ({"state": state} if state else {}) for one, state in search.planned(plan)]
         _print_status(rows, arguments.json)
         return 0
     engine = make_engine()
     with contextlib.ExitStack() as stack, Show(arguments.quiet) as show:
         stack.callback(let_go, engine)
-        plan = search.plan(study, out.resolve(), own.trials, *given)
-        make_layouts(out.resolve(), study.obstacles)
-        drawing = draws.plan(study, out.resolve(), own.trials, *given)
-        found = drawing.screened() if drawing else studies.configurations(study, out.resolve(), *given)
+        make_layouts(folder, study.obstacles)
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
             how |= {"tell": show.tell, "say": show.say}
-            run = Runner(out.resolve(), configurations, engine, own.seeds_per_worker, **how)
+            run = Runner(folder, configurations, engine, own.seeds_per_worker, **how)
             show.say(
                 f"{study.name}: {study.what}; {len(run.works)} of {len(configurations)} configurations are "
                 f"left, into {out}"

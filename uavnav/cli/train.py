@@ -110,9 +110,9 @@ def main(given: Namespace, fit: Fit = alone) -> int:
         raise ConfigError(f"{error}{commands.needs(given.algorithm, given.settings)}") from error
     if given.json:
         print(json.dumps([summary.record(run) for run in finished], indent=2))
-    elif not given.quiet and len(finished) == len(orders) and finished[-1].fresh:
-        print(_next(finished, orders[-1], given.plugins))
-    if not (given.json or given.quiet):
+    elif not given.quiet:
+        if len(finished) == len(orders) and finished[-1].fresh:
+            print(_next(finished, orders[-1], given.plugins))
         for run in finished:
             for shown in shown_by(run.path, chosen(orders[0].command.logger)):
                 print(f"see its log: {shown}")

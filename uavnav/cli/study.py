@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from uavnav import plugins, studies
+from uavnav import files, plugins, studies
 from uavnav.cli import commands
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, scripts
@@ -62,7 +62,7 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
         if not value:
             raise ConfigError(f"{word}: give a value, or leave it out")
         try:
-            given[name] = studies.load(value)
+            given[name] = files.parsed_yaml(value)
         except ValueError as error:
             raise ConfigError(f"{word}: its value cannot be read") from error
     own = Keys(**{name: given.pop(name) for name in Keys.names() if name in given})

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple
 import yaml
 from pydantic import BeforeValidator
 
-from uavnav import plugins, studies
+from uavnav import files, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.cli.help.render import render
@@ -179,7 +179,7 @@ def _value(word: str, text: str) -> Any:
         return text[1:-1]
     if text[:1] in ("[", "{", "'", '"'):
         try:
-            return studies.load(text)
+            return files.parsed_yaml(text)
         except ValueError as error:
             raise ConfigError(
                 f"{told(word)}: its value cannot be read; in a shell quote brackets and blanks: "

@@ -92,20 +92,14 @@ def status(configuration: Configuration) -> dict[str, Any]:
 
 
 class Show:
-    """The configurations under way: a table on a terminal, elsewhere a line now and then."""
+    """The configurations under way: on a terminal a table until `stack` ends, elsewhere lines."""
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, stack: contextlib.ExitStack) -> None:
         self._console = Console(highlight=False, soft_wrap=True, markup=False, quiet=quiet)
         self._live = Live(console=self._console, transient=True, auto_refresh=False)
         self._said = time.monotonic()
-
-    def __enter__(self) -> Show:
         if self._console.is_terminal:
-            self._live.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._live.stop()
+            stack.enter_context(self._live)
 
     def say(self, line: str) -> None:
         self._console.print(line)
@@ -157,8 +151,9 @@ def main(arguments: Namespace) -> int:
         _print_status(rows, arguments.json)
         return 0
     engine = make_engine()
-    with contextlib.ExitStack() as stack, Show(arguments.quiet) as show:
+    with contextlib.ExitStack() as stack:
         stack.callback(let_go, engine)
+        show = Show(arguments.quiet, stack)
         make_layouts(folder, study.obstacles)
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:

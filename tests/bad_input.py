@@ -358,9 +358,9 @@ def tree(folder):
 
 
 def held(path):
-    """A file's bytes; of one that is too large to be read, how many."""
+    """A file's bytes; of one that is too large to be read, how many; the mode of what is no file."""
     if not path.is_file():
-        return None
+        return path.lstat().st_mode
     size = path.stat().st_size
     return path.read_bytes() if size < 2**30 else size
 

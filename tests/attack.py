@@ -12,13 +12,11 @@ of good files, within bounds of time and memory.
 import argparse
 import atexit
 import faulthandler
-import hashlib
 import os
 import re
 import resource
 import shutil
 import signal
-import stat
 import sys
 import tempfile
 import threading
@@ -34,6 +32,7 @@ import attack_inputs
 import hypothesis
 import torch
 import warm
+from bad_input import tree
 
 LINE = 300
 """Characters of a line that refuses."""
@@ -148,18 +147,6 @@ def judge(ended):
     return GOOD[ended.status != 2], lines[-1] if lines else ""
 
 
-def tree(folder):
-    """Every path below a folder, with its kind and a digest of what it holds."""
-    found = {}
-    for path in folder.rglob("*"):
-        facts = path.lstat()
-        held = os.readlink(path) if path.is_symlink() else ""
-        if stat.S_ISREG(facts.st_mode):
-            held = hashlib.sha1(path.read_bytes()).hexdigest()
-        found[str(path.relative_to(folder))] = (stat.S_IFMT(facts.st_mode), held)
-    return found
-
-
 # -- running -------------------------------------------------------------------------------------------------
 
 
@@ -260,8 +247,7 @@ class Attempt:
         threading._shutdown()
         atexit._run_exitfuncs()
         sys.stdout.flush()
-        after = tree(self.here)
-        changed = [path for path in {**before, **after} if before.get(path) != after.get(path)]
+        changed = {path for path, _ in before.items() ^ tree(self.here).items()}
         (self.scratch / "changed").write_bytes("\n".join(changed).encode(errors="backslashreplace"))
         os._exit(status or 0)
 

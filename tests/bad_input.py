@@ -358,9 +358,9 @@ def tree(folder):
 
 
 def held(path):
-    """A file's bytes; of one that is too large to be read, how many."""
+    """A file's bytes; of one that is too large to be read, how many; the mode of what is no file."""
     if not path.is_file():
-        return None
+        return path.lstat().st_mode
     size = path.stat().st_size
     return path.read_bytes() if size < 2**30 else size
 
@@ -937,7 +937,7 @@ CASES = [
         f"{RENDER} --out x.bmp"),
     argument("a picture's folder", lambda f: save_picture(f / "no/x.png"), "no/x.png",
         "a path that can be written", f"{RENDER} --out {{}}/no/x.png"),
-    *(word(f"{VERIFY} --frames={n}", f"--frames {n}: ", "give a number of at least 1") for n in (0, -5)),
+    *(word(f"{VERIFY} --frames={n}", f"frames={n}; ", "give a number of at least 1") for n in (0, -5)),
     # words of other commands
     word("layouts --split trian", "argument --split: trian", "did you mean train? choose from all, test"),
     word("layouts --slpit train", "there is no argument --slpit", "did you mean --split?"),

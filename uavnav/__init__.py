@@ -22,6 +22,7 @@ import gymnasium
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import did_you_mean
+from uavnav.tasks.protocol import TASK_NAMES
 
 if TYPE_CHECKING:
     from uavnav import evaluation, networks, plugins, report, stats
@@ -89,16 +90,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve 
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
 
-_WORLDS = {
-    "Drone": "drone",
-    "Moving": "moving",
-    "Goal": "goal",
-    "Space": "space",
-    "SpaceMoving": "space-moving",
-}
-for _name, _task in _WORLDS.items():
+for _task in TASK_NAMES:
     gymnasium.register(
-        id=f"uavnav/{_name}-v0",
+        id=f"uavnav/{_task.title().replace('-', '')}-v0",  # uavnav/SpaceMoving-v0
         entry_point="uavnav.envs.gym:DroneGymEnv",
         vector_entry_point="uavnav.envs.gym:DroneVectorEnv",
         kwargs={"task": _task},

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import io
 import re
 import sys
 from collections.abc import Collection
@@ -153,11 +152,6 @@ class Parser(argparse.ArgumentParser):
         """End the process with a text that was asked for."""
         self._print_message(text, sys.stdout)
         self.exit()
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        if isinstance(file, io.TextIOWrapper):
-            file.reconfigure(errors="replace")  # what the terminal cannot show is printed as `?`
-        super()._print_message(message, file)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse, and suggests an option where a word is none."""

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 import stat
 import tempfile
 from pathlib import Path
@@ -53,20 +54,14 @@ def remove(path: Path) -> None:
         path.unlink()
 
 
-def check(path: str | Path, most: int = MEMORY_BYTES) -> None:
-    """Raise an OSError unless a regular file of at most so many bytes is there."""
-    _check(os.stat(_named(path)), most)
-
-
 def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
-    """What a regular file contains; raises an OSError as `check` does, or where it cannot be read."""
-    descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
-    try:
-        _check(os.fstat(descriptor), most)
-        with open(descriptor, "rb", closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(descriptor)
+    """What a file contains; raises an OSError where it is no regular one, or has more than so many bytes."""
+    facts = os.stat(_named(path))
+    if not stat.S_ISREG(facts.st_mode):  # a pipe would wait
+        raise OSError(errno.EINVAL, "it is no file")
+    if facts.st_size > most:
+        raise OSError(errno.EFBIG, f"it has {facts.st_size:,} bytes, more than {most:,}")
+    return Path(path).read_bytes()
 
 
 def facts(kind: type[Kind], said: Any) -> Kind:
@@ -92,22 +87,24 @@ def parsed(text: str | bytes) -> Any:
         raise ValueError("nested too deeply") from error
 
 
-class Loader(yaml.CSafeLoader):
-    """Plain YAML, of whole numbers that can be computed with."""
+class _Loader(yaml.CSafeLoader):
+    """Plain YAML, of whole numbers that can be computed with; 1e6 is a number, as in YAML 1.2."""
 
     def construct_yaml_int(self, node: Any) -> int:
         return _whole(super().construct_yaml_int(node))
 
 
-Loader.add_constructor("tag:yaml.org,2002:int", Loader.construct_yaml_int)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+0123456789"])
 
 
-def read_yaml(path: str | Path, loader: type[Loader] = Loader) -> Any:
+def read_yaml(path: str | Path) -> Any:
     """What a YAML file says; raises an OSError as `read` does, and a ValueError where it is no plain YAML."""
-    return parsed_yaml(read(path, SETTINGS_BYTES), loader)
+    return parsed_yaml(read(path, SETTINGS_BYTES))
 
 
-def parsed_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
+def parsed_yaml(text: str | bytes) -> Any:
     """What YAML says; raises a ValueError where it is none, has aliases, or is nested too deeply."""
     depth = 0
     try:
@@ -117,7 +114,7 @@ def parsed_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > MOST_NESTED:
                 raise ValueError("nested too deeply")
-        return yaml.load(text, loader)  # a safe loader
+        return yaml.load(text, _Loader)
     except (yaml.YAMLError, TypeError, AttributeError, KeyError, OverflowError) as error:
         # the latter of odd keys, dates
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
@@ -150,10 +147,3 @@ def _named(path: str | Path) -> str | Path:
     if "\0" in str(path):  # Python would raise a ValueError
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     return path
-
-
-def _check(facts: os.stat_result, most: int) -> None:
-    if not stat.S_ISREG(facts.st_mode):
-        raise OSError(errno.EINVAL, "it is no file")
-    if facts.st_size > most:
-        raise OSError(errno.EFBIG, f"it has {facts.st_size:,} bytes, more than {most:,}")

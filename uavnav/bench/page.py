@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import importlib.metadata
-import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
@@ -102,8 +101,7 @@ def machine() -> str:
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
             versions.append(f"{name} {importlib.metadata.version(name)}")
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    return f"{processor()}, {CORES} cores, {memory:.0f} GB; {', '.join(versions)}"
+    return f"{processor()}, {CORES} cores, {files.MEMORY_BYTES / 1e9:.0f} GB; {', '.join(versions)}"
 
 
 def read_sections(path: Path) -> dict[str, str]:

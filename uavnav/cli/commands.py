@@ -267,7 +267,11 @@ def _flag(name: str, told: str) -> Option:
     return (name,), {"action": "store_true", "help": told}
 
 
-def _value(name: str, told: str | None = None, **how: Any) -> Option:
+def _value(name: str, told: str | None = None, usual: Any = None, **how: Any) -> Option:
+    """An argument with a value; usual: its default, whose type it has, and which its help names."""
+    if usual is not None:
+        kind = whole if isinstance(usual, int) else type(usual)
+        told, how = f"{told} (default: {usual})", {"type": kind, "default": usual} | how
     return (name,), {"help": told, **how}
 
 
@@ -284,9 +288,7 @@ SEEDS = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
 ACTIVATION = _value("--activation", "of a .zip's hidden layers, where it does not say it itself")
 SHIELD = "the nearest action that cannot collide in the next step"
 WHICH_LAYOUTS = _value(
-    "--layouts",
-    f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path (default: test)",
-    default="test",
+    "--layouts", f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path", "test"
 )
 TASK = _value(
     "--task",
@@ -315,7 +317,7 @@ EPISODE = (
     ACTIVATION,
     WHICH_LAYOUTS,
     TASK,
-    _value("--layout", "index of the layout (default: 0)", type=whole, default=0),
+    _value("--layout", "index of the layout", 0),
     PLUGINS,
 )
 """What every command that shows episodes asks: which seed, how, and where."""
@@ -360,7 +362,7 @@ EVALUATE = Usage(
     "evaluate runs/ppo-paper/relu reactive --episodes 200",
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
-        _value("--episodes", f"layouts (default: {EPISODES})", type=whole, default=EPISODES),
+        _value("--episodes", "layouts", EPISODES),
         _value(
             "--max-steps",
             f"time limit (default: {MAX_STEPS:,}, across ladders and tasks {ACROSS_STEPS:,}, or the"
@@ -397,13 +399,7 @@ EVALUATE = Usage(
             "--measures",
             "count danger, separation, curvature and jerk too; takes longer, for no step is skipped",
         ),
-        _value(
-            "--seeds",
-            f"so many seeds of {DRAWS}, each on every layout (default: 1)",
-            type=whole,
-            default=1,
-            metavar="N",
-        ),
+        _value("--seeds", f"so many seeds of {DRAWS}, each on every layout", 1, metavar="N"),
         _value(
             "--out",
             "keep rows of what is no run there; a report looks in its baselines/",
@@ -429,7 +425,7 @@ PLAY = Usage(
             type=Path,
             metavar="FILE",
         ),
-        _value("--person", "with --keep: who flew them, the rows' seed (default: 0)", type=whole, default=0),
+        _value("--person", "with --keep: who flew them, the rows' seed", 0),
     ],
 )
 PLAYGROUND = Usage(
@@ -448,14 +444,12 @@ RENDER = Usage(
     "render runs/ppo-paper/relu reactive --out flight.gif",
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
-        _value(
-            "--out", "an .mp4, .gif or .png file (default: flight.gif)", type=Path, default=Path("flight.gif")
-        ),
+        _value("--out", "an .mp4, .gif or .png file", Path("flight.gif")),
         *EPISODE,
         FAULTS,
-        _value("--steps", "steps at most (default: 500)", type=whole, default=500),
-        _value("--every", "steps from one picture to the next (default: 1)", type=whole, default=1),
-        _value("--speed", "times as fast as in the window (default: 1)", type=float, default=1.0),
+        _value("--steps", "steps at most", 500),
+        _value("--every", "steps from one picture to the next", 1),
+        _value("--speed", "times as fast as in the window", 1, type=float),
         _value(
             "--width",
             "width of one episode [px] (default: 480); an MP4 is padded to even sizes",
@@ -534,9 +528,9 @@ LAYOUTS = Usage(
     "Generate layout files, or check that files are what their headers say.",
     "layouts --split train --k 12",
     [
-        _value("--out", "folder for the files (default: layouts)", type=Path, default=Path("layouts")),
+        _value("--out", "folder for the files", Path("layouts")),
         _value("--split", "which split to write", choices=[*SPLITS, "all"], default="all"),
-        _value("--task", f"whose obstacles: {TASKS} (default: drone)", default="drone"),
+        _value("--task", f"whose obstacles: {TASKS}", "drone"),
         _value(
             "--k", f"obstacles per layout, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)", type=whole
         ),

@@ -10,15 +10,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from uavnav.cli.playground import where, write_page
+from uavnav.cli.playground import write_page
 from uavnav.errors import ConfigError
-from uavnav.files import check_out
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.tables import RunError, lock, read_csv, read_table, write_table
 from uavnav.tasks.protocol import MAX_STEPS, SPLITS
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.views.browser import TITLES
-from uavnav.views.browser.playground import Opening, collect, usual
+from uavnav.views.browser.playground import Opening
 
 ROWS = Path("runs/baselines/human.parquet")
 """Where `uavnav report runs` finds what people flew."""
@@ -36,16 +35,14 @@ def main(arguments: Namespace) -> int:
     if arguments.task not in TITLES:
         film = f"uavnav render reactive --task {arguments.task} --out flight.gif"
         raise ConfigError(f"--task {arguments.task}: the playground has no such task; watch it: {film}")
-    if arguments.out:
-        check_out(arguments.out)
-    flyers = collect(arguments.runs or usual(), arguments.seed, arguments.activation)
     opening = Opening(
         arguments.layouts, arguments.layout, arguments.task, arguments.greedy, arguments.max_steps
     )
-    out = write_page("play", arguments.out or where(), flyers, opening)
+    who = {"seed": arguments.seed, "activation": arguments.activation}
+    out, n = write_page("play", arguments.runs, arguments.out, opening, **who)
     shown = has_screen() and webbrowser.open(out.absolute().as_uri())
     says = "it opens in your browser" if shown else f"open {out.absolute().as_uri()} in a browser"
-    print(f"{out}: policies: {len(flyers.policies)}; {says}")
+    print(f"{out}: policies: {n}; {says}")
     return 0
 
 

@@ -4,37 +4,45 @@ from __future__ import annotations
 
 import tempfile
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from uavnav import files
 from uavnav.errors import complain
 from uavnav.runs.tables import write
-from uavnav.views.browser.playground import Flyers, Opening, collect, page, usual
+from uavnav.views.browser.playground import Opening, collect, page, usual
 
 NAME = "playground.html"
 
 
 def main(arguments: Namespace) -> int:
-    if arguments.out:
-        files.check_out(arguments.out)
-    flyers = collect(arguments.folders or usual())
-    out = write_page("playground", arguments.out or where(Path(NAME)), flyers)
-    print(f"{out}: policies: {len(flyers.policies)}; open it in a browser")
+    out, n = write_page("playground", arguments.folders, arguments.out, otherwise=Path(NAME))
+    print(f"{out}: policies: {n}; open it in a browser")
     return 0
 
 
-def where(otherwise: Path | None = None) -> Path:
-    """The page's file if none is given: in `runs`, or else `otherwise`, or else in a new temporary folder."""
-    if Path("runs").is_dir():
-        return Path("runs") / NAME
-    return otherwise or Path(tempfile.mkdtemp(prefix="uavnav-")) / NAME
+def write_page(
+    command: str,
+    words: Sequence[str | Path],
+    out: Path | None,
+    opening: Opening | None = None,
+    otherwise: Path | None = None,
+    **how: Any,
+) -> tuple[Path, int]:
+    """Write the page of what is named, and say which runs are not on it; how: as of `collect`.
 
-
-def write_page(command: str, out: Path, flyers: Flyers, opening: Opening | None = None) -> Path:
-    """Write the page, and say which runs are not on it."""
+    If no file is given, it is in `runs`, or else `otherwise`, or else in a new temporary folder. Returns the
+    file and how many policies it has.
+    """
+    if out:
+        files.check_out(out)
+    flyers = collect(words or usual(), **how)
+    own = Path("runs") / NAME if Path("runs").is_dir() else otherwise
+    out = out or own or Path(tempfile.mkdtemp(prefix="uavnav-")) / NAME
     content = page(flyers, opening).encode()
     out.parent.mkdir(parents=True, exist_ok=True)
     write(out, content)
     for line in flyers.left_out:
         complain(command, f"left out: {line}")
-    return out
+    return out, len(flyers.policies)

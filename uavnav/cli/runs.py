@@ -29,17 +29,9 @@ from uavnav.runs.lately import Lately, line, span
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, arrow
 
-COLUMNS: dict[str, JustifyMethod] = {
-    "run": "left",
-    "policy": "left",
-    "seeds": "right",
-    "frames": "right",
-    "status": "left",
-    "sampled": "right",
-    "greedy": "right",
-    "age": "right",
-}
+COLUMNS = ("run", "policy", "seeds", "frames", "status", "sampled", "greedy", "age")
 """Of the table; `sampled` and `greedy` are rewards of a test episode."""
+OF_WORDS = ("run", "policy", "status")
 WATCH_SECONDS = 2.0
 WIDEST = 1_000
 """Columns of what is no terminal."""
@@ -144,7 +136,8 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
             training += [Text(one["run"]), Text(f"  {line(*now, Lately(**one['lately']))}"), Text()]
     told = "sampled, greedy: mean reward of a test episode"
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), caption=told, caption_justify="left")
-    for name, justify in COLUMNS.items():
+    for name in COLUMNS:
+        justify: JustifyMethod = "left" if name in OF_WORDS else "right"
         table.add_column(name, justify=justify, no_wrap=name != "run", overflow="fold")
     for one in rows:
         table.add_row(*map(Text, words(one)))

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from uavnav import plugins, studies
+from uavnav import files, plugins, studies
 from uavnav.cli import commands
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, scripts
@@ -62,7 +62,7 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
         if not value:
             raise ConfigError(f"{word}: give a value, or leave it out")
         try:
-            given[name] = studies.load(value)
+            given[name] = files.parsed_yaml(value)
         except ValueError as error:
             raise ConfigError(f"{word}: its value cannot be read") from error
     own = Keys(**{name: given.pop(name) for name in Keys.names() if name in given})
@@ -92,20 +92,14 @@ def status(configuration: Configuration) -> dict[str, Any]:
 
 
 class Show:
-    """The configurations under way: a table on a terminal, elsewhere a line now and then."""
+    """The configurations under way: on a terminal a table until `stack` ends, elsewhere lines."""
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, stack: contextlib.ExitStack) -> None:
         self._console = Console(highlight=False, soft_wrap=True, markup=False, quiet=quiet)
         self._live = Live(console=self._console, transient=True, auto_refresh=False)
         self._said = time.monotonic()
-
-    def __enter__(self) -> Show:
         if self._console.is_terminal:
-            self._live.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._live.stop()
+            stack.enter_context(self._live)
 
     def say(self, line: str) -> None:
         self._console.print(line)
@@ -145,30 +139,27 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(f"trials={own.trials}: study {study.name} neither tunes nor draws; leave it out")
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
-    given = own.seeds, own.frames
     make_engine = engines.chosen(own.engine, of_engine, Keys.names())
+    given, folder = (own.seeds, own.frames), out if arguments.status else out.resolve()
+    plan = search.plan(study, folder, own.trials, *given)
+    drawing = draws.plan(study, folder, own.trials, *given)
+    found = drawing.screened() if drawing else studies.configurations(study, folder, *given)
     if arguments.status:
-        drawing = draws.plan(study, out, own.trials, *given)
-        known = (
-            drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
-        )
-        rows = [status(one) for one in known]
-        if (plan := search.plan(study, out, own.trials, *given)) is not None:
+        rows = [status(one) for one in (*found, *(drawing.nearest() if drawing else ()))]
+        if plan is not None:
             rows += [status(one) | ({"state": state} if state else {}) for one, state in search.planned(plan)]
         _print_status(rows, arguments.json)
         return 0
     engine = make_engine()
-    with contextlib.ExitStack() as stack, Show(arguments.quiet) as show:
+    with contextlib.ExitStack() as stack:
         stack.callback(let_go, engine)
-        plan = search.plan(study, out.resolve(), own.trials, *given)
-        make_layouts(out.resolve(), study.obstacles)
-        drawing = draws.plan(study, out.resolve(), own.trials, *given)
-        found = drawing.screened() if drawing else studies.configurations(study, out.resolve(), *given)
+        show = Show(arguments.quiet, stack)
+        make_layouts(folder, study.obstacles)
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
             how |= {"tell": show.tell, "say": show.say}
-            run = Runner(out.resolve(), configurations, engine, own.seeds_per_worker, **how)
+            run = Runner(folder, configurations, engine, own.seeds_per_worker, **how)
             show.say(
                 f"{study.name}: {study.what}; {len(run.works)} of {len(configurations)} configurations are "
                 f"left, into {out}"

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple
 import yaml
 from pydantic import BeforeValidator
 
-from uavnav import plugins, studies
+from uavnav import files, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.cli.help.render import render
@@ -110,9 +110,9 @@ def main(given: Namespace, fit: Fit = alone) -> int:
         raise ConfigError(f"{error}{commands.needs(given.algorithm, given.settings)}") from error
     if given.json:
         print(json.dumps([summary.record(run) for run in finished], indent=2))
-    elif not given.quiet and len(finished) == len(orders) and finished[-1].fresh:
-        print(_next(finished, orders[-1], given.plugins))
-    if not (given.json or given.quiet):
+    elif not given.quiet:
+        if len(finished) == len(orders) and finished[-1].fresh:
+            print(_next(finished, orders[-1], given.plugins))
         for run in finished:
             for shown in shown_by(run.path, chosen(orders[0].command.logger)):
                 print(f"see its log: {shown}")
@@ -179,7 +179,7 @@ def _value(word: str, text: str) -> Any:
         return text[1:-1]
     if text[:1] in ("[", "{", "'", '"'):
         try:
-            return studies.load(text)
+            return files.parsed_yaml(text)
         except ValueError as error:
             raise ConfigError(
                 f"{told(word)}: its value cannot be read; in a shell quote brackets and blanks: "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 
-from uavnav.errors import ConfigError
 from uavnav.evaluation.verify import verify
 from uavnav.runs import Run
 from uavnav.training.recorder import Interrupted
@@ -13,8 +12,6 @@ from uavnav.training.recorder import Interrupted
 
 def main(arguments: Namespace) -> int:
     """Status 0 where the run is the same, bit for bit, and 1 where it is not."""
-    if arguments.frames is not None and arguments.frames < 1:
-        raise ConfigError(f"--frames {arguments.frames}: give a number of at least 1")
     try:
         verdict = verify(Run(arguments.run), arguments.frames)
     except Interrupted as stop:

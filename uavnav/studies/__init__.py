@@ -69,19 +69,6 @@ PROTOCOL = ("episodes", "max_steps", "layouts", "faults", "at", "shield")
 """Keys of `evaluate`, as `Protocol` has them; a list stands for an evaluation each."""
 
 
-class _Loader(files.Loader):
-    """YAML with numbers such as 1e6, which are words for YAML 1.1."""
-
-
-_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+0123456789"])
-
-
-def load(text: str) -> Any:
-    """What a YAML text says; numbers may be 1e6. Raises a ValueError as `files.parsed_yaml` does."""
-    return files.parsed_yaml(text, _Loader)
-
-
 class Configuration(NamedTuple):
     """A run of a study."""
 
@@ -131,7 +118,7 @@ def read(name: str) -> Study:
             f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own"
         )
     try:
-        said = files.read_yaml(path, _Loader)
+        said = files.read_yaml(path)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
     try:

@@ -56,12 +56,17 @@ def remove(path: Path) -> None:
 
 def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
     """What a file contains; raises an OSError where it is no regular one, or has more than so many bytes."""
-    facts = os.stat(_named(path))
-    if not stat.S_ISREG(facts.st_mode):  # a pipe would wait
-        raise OSError(errno.EINVAL, "it is no file")
-    if facts.st_size > most:
-        raise OSError(errno.EFBIG, f"it has {facts.st_size:,} bytes, more than {most:,}")
-    return Path(path).read_bytes()
+    descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
+    try:
+        there = os.fstat(descriptor)
+        if not stat.S_ISREG(there.st_mode):
+            raise OSError(errno.EINVAL, "it is no file")
+        if there.st_size > most:
+            raise OSError(errno.EFBIG, f"it has {there.st_size:,} bytes, more than {most:,}")
+        with open(descriptor, "rb", closefd=False) as file:
+            return file.read()
+    finally:
+        os.close(descriptor)
 
 
 def facts(kind: type[Kind], said: Any) -> Kind:

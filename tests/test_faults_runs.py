@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import torch
 import yaml
+from replaying import unpack
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
@@ -209,7 +210,8 @@ def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
     own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
     ((episode,),) = replays.fly([replays.Flyer(0, untrained(own), [0])], layouts.load("test")[:4], 12)
-    assert episode.poses["slots"].shape[1:] == (10, 3)
+    shown = unpack(episode, replays._told(replays.FIELDS))
+    assert all(shown[name].shape == (episode["steps"] + 1, 10) for name in ("right", "forward", "proximity"))
 
 
 def test_probes_show_a_pose_as_if_an_episode_began_there_and_without_faults():

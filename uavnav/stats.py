@@ -258,22 +258,17 @@ def rank_correlation(first: Sequence[Array], second: Sequence[Array], seed: int 
     if n < 2 or len(first) < 2:
         return Interval(np.nan, np.nan, np.nan, n)
     rng = np.random.default_rng(seed)
-    drawn = [
-        np.stack(
-            [own[rng.integers(len(own), size=(RESAMPLES, len(own)))].mean(1) for own in configurations], 1
-        )
-        for configurations in (first, second)
-    ]
-    means = [
-        np.concatenate([[[own.mean() for own in configurations]], some])
-        for configurations, some in zip((first, second), drawn, strict=True)
-    ]
-    a, b = (
-        ranks - ranks.mean(1, keepdims=True)
-        for ranks in (stats.rankdata(rounded(one), axis=1) for one in means)
-    )
-    with np.errstate(invalid="ignore"):
-        found = (a * b).sum(1) / np.sqrt((a * a).sum(1) * (b * b).sum(1))
+
+    def ranks(configurations: Sequence[Array]) -> Array:
+        """Of the means, and below them of those of resampled seeds: [1 + RESAMPLES, configurations]."""
+        means = [
+            [own.mean(), *own[rng.integers(len(own), size=(RESAMPLES, len(own)))].mean(1)]
+            for own in configurations
+        ]
+        return np.asarray(stats.rankdata(rounded(np.transpose(means)), axis=1))
+
+    with warnings.catch_warnings(action="ignore"):  # scipy warns where all means are alike, and returns NaN
+        found = stats.pearsonr(ranks(first), ranks(second), axis=1).statistic
     low, high = np.nanquantile(found[1:], TAILS) if np.isfinite(found[0]) else (np.nan, np.nan)
     return Interval(float(found[0]), float(low), float(high), n)
 
@@ -445,11 +440,8 @@ def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
     )
     p_ranks = _crossover(first, second, np.random.default_rng(seed))
     fit = OLS.from_formula("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
-    terms = [name for name in fit.params.index if ":" in name]
-    p_raw = float(
-        fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue
-    )
-    return Interaction(p_ranks, p_raw, n)
+    interact = np.eye(len(fit.params))[fit.params.index.str.contains(":")]
+    return Interaction(p_ranks, float(fit.f_test(interact).pvalue), n)
 
 
 def survival(steps: Array, ended: Array) -> pd.Series[float]:
@@ -482,8 +474,6 @@ def seeds_needed(mine: Array, theirs: Array, effect: float, power: float = 0.8, 
     if min(len(mine), len(theirs)) < 2 or np.isnan(effect):
         return float("nan")
     spread = np.sqrt((np.var(mine, ddof=1) + np.var(theirs, ddof=1)) / 2)
-    if effect == 0:
-        return float("inf")
     if spread == 0:
         return 2.0
     t_test = TTestIndPower()

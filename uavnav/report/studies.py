@@ -91,14 +91,13 @@ def sort(configurations: Sequence[Configuration]) -> Studies:
 
 def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
     """An algorithm's settings in the study `vectorised`, or else its most frequent ones."""
-    named = [one for one in configurations if PLACES.get(one.study) == "vectorised"]
-    groups = [
-        [one for one in named or configurations if one.settings == configuration.settings]
-        for configuration in named or configurations
-    ]
-    return max(
-        groups, key=lambda group: (len(group), sum(one.n_seeds for one in group), str(group[0].settings))
-    )[0].settings
+    named = [one for one in configurations if PLACES.get(one.study) == "vectorised"] or configurations
+
+    def how_often(configuration: Configuration) -> tuple[int, int, str]:
+        alike = [one for one in named if one.settings == configuration.settings]
+        return len(alike), sum(one.n_seeds for one in alike), str(configuration.settings)
+
+    return max(named, key=how_often).settings
 
 
 def _place(studies: Studies, configuration: Configuration, usual: Mapping[str, Any]) -> Configurations | None:

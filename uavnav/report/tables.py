@@ -82,8 +82,8 @@ def in_words(configuration: str) -> str:
     return f"{algorithm} with {NAMES.get(activation, activation)}"
 
 
-class _Configurations(string.Formatter):
-    """Formats whose numbers look as `number` has them."""
+class _Cells(string.Formatter):
+    """Formats of the cells of `LISTED`: their numbers look as `number` has them."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, float) and format_spec.endswith("f"):
@@ -94,7 +94,7 @@ class _Configurations(string.Formatter):
 
 def listed(frame: pd.DataFrame, name: str) -> Rows:
     """A row a row, with the columns of `LISTED`; an interval that is not known is left out."""
-    columns, fill = LISTED[name], _Configurations().vformat
+    columns, fill = LISTED[name], _Cells().vformat
     rows = [list(columns)]
     for one in frame.to_dict("records"):
         told = {str(key): value for key, value in one.items()}

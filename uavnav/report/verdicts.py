@@ -74,8 +74,8 @@ class Judgement(NamedTuple):
     verdicts: Names
     standings: Names
     less_than_half: Flags
-    p: Array
     p_holm: Array
+    levels: Array  # of the parts' intervals
     power: Array
     grades: Names
 
@@ -87,8 +87,8 @@ def audit(evidence: Evidence, paper: Evidence, claims: Sequence[Claim] = CLAIMS)
         samples = [[evidence(*term) for term in part.terms] for part in claim.parts]
         printed = [effects(part, paper) for part in claim.parts]
         judged = judge(claim.parts, samples, printed)
-        each = zip(samples, printed, _levels(judged), strict=True)
-        found += [_finding(claim, place, *own[:2], judged, own[2]) for place, own in enumerate(each)]
+        each = enumerate(zip(samples, printed, strict=True))
+        found += [_finding(claim, place, *own, judged) for place, own in each]
     return found
 
 
@@ -105,8 +105,9 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
 
     A part is candidate for the grade if the paper's tables show it or say nothing, its configurations have
     `SEEDS` seeds, and its measure varies. A candidate counts if the paper's effect is found with `POWER` at
-    the level `ALPHA` / candidates (Bonferroni's, Holm's first). Holm's family are the parts that count; the
-    others are judged by themselves.
+    the level `ALPHA` / candidates (Bonferroni's, Holm's first). Holm's family are the m parts that count; the
+    others are judged by themselves. His levels are `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the
+    next, and so on; the first that fails and all after it have the same level.
     """
     found = [_contrasts(part, of) for part, of in zip(parts, samples, strict=True)]
     shape = np.broadcast_shapes(*(one.value.shape[:-1] for one in found if one is not None), ())
@@ -139,15 +140,17 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
     standings[(standings == COUNTS) & (power < POWER)] = TOO_SMALL
     counting = standings == COUNTS
     p_holm = np.where(counting, stats.holm(np.where(counting, p, np.nan)), p)
-    last = counting.sum(-1) - (counting & (p_holm < ALPHA)).sum(-1)  # parts that Holm's steps do not reach
+    rank = np.where(counting, p, np.nan).argsort(-1, kind="stable").argsort(-1)  # of p; NaN comes last
+    passed = (counting & (p_holm < ALPHA)).sum(-1, keepdims=True)
+    left = counting.sum(-1, keepdims=True) - np.minimum(rank, passed)
+    levels = ALPHA / np.where(counting, left, 1)
     for place, (part, one, own) in enumerate(zip(parts, found, printed, strict=True)):
         if one is not None and (effect := _extreme(part, own)) > 0:
-            level = ALPHA / np.where(counting[..., place], np.maximum(last, 1), 1)
-            smaller[..., place] = _interval(part, one, level[..., None])[1] < HALF * effect
+            smaller[..., place] = _interval(part, one, levels[..., place, None])[1] < HALF * effect
     unclear = np.select([within, smaller == 1], [ABSENT, SMALLER], OPEN)
     verdicts = np.select([p_holm >= ALPHA, toward], [unclear, REPLICATES], REVERSES)
     verdicts = np.where(np.isnan(p), [OPEN if one is None else DEGENERATE for one in found], verdicts)
-    return Judgement(verdicts, standings, within, p, p_holm, power, _grades(verdicts, standings))
+    return Judgement(verdicts, standings, within, p_holm, levels, power, _grades(verdicts, standings))
 
 
 def _grades(verdicts: Names, standings: Names) -> Names:
@@ -243,24 +246,11 @@ def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) 
     return np.asarray(found.power(effects_, one_sided / len(effects_)).max(-1))
 
 
-def _levels(judged: Judgement) -> Array:
-    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next ...
-
-    The first that fails and all after it have the same level; a part that does not count has `ALPHA`.
-    """
-    levels = np.full(len(judged.p), ALPHA)
-    counting = np.flatnonzero(judged.standings == COUNTS)
-    passed = int((judged.p_holm[counting] < ALPHA).sum())
-    for rank, place in enumerate(counting[np.argsort(judged.p[counting], kind="stable")]):
-        levels[place] = ALPHA / (len(counting) - min(rank, passed))
-    return levels
-
-
 def _finding(
-    claim: Claim, place: int, samples: Sequence[Array], printed: Array, judged: Judgement, level: float
+    claim: Claim, place: int, samples: Sequence[Array], printed: Array, judged: Judgement
 ) -> Finding:
     part, found = claim.parts[place], _contrasts(claim.parts[place], samples)
-    own, n = _extreme(part, printed), _seeds(samples)
+    own, n, level = _extreme(part, printed), _seeds(samples), float(judged.levels[place])
     low = high = to_detect = to_equal = math.nan
     nearest, value = "", math.nan
     if n:

@@ -109,14 +109,8 @@ def record(
         None for those that are not shown), `actions` ([degrees, px] of each), `fields` (of the bytes),
         `configurations` (with their `episodes`; elsewhere than in the paper's task also `_place`), `rule`
         (episodes of the scripted policy), and `left_out`: a line for each policy that cannot fly.
-
-    Raises:
-        ValueError: a count is below 1, or the split has fewer layouts.
     """
     all_layouts, world = layouts.load("test"), World()
-    if min(n_seeds, n_layouts, max_steps) < 1 or n_layouts > len(all_layouts):
-        counts = f"n_seeds={n_seeds}, n_layouts={n_layouts}, max_steps={max_steps}"
-        raise ValueError(f"{counts}; give whole numbers from 1, and at most {len(all_layouts)} layouts")
     ready: list[tuple[Trained, str, dict[int, Policy]]] = []
     left_out: list[str] = []
     for configuration in configurations:
@@ -141,7 +135,7 @@ def record(
     for configuration, sets, population in ready:
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
         name |= {"accent": configuration.colour} if configuration.colour else {}
-        own = [_pack(episode) for _ in population for episode in next(flown[sets])]
+        own = [episode for _ in population for episode in next(flown[sets])]
         name |= _place(next(iter(population.values())).task, sets, configuration.layouts or usual)
         values = ALGORITHMS[configuration.algorithm].shown
         shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
@@ -153,7 +147,7 @@ def record(
         "actions": torch.stack([angle, distance], -1).tolist(),
         "fields": _told(FIELDS),
         "configurations": shown,
-        "rule": [_pack(episode) for episode in rule],
+        "rule": rule,
         "left_out": list(dict.fromkeys(left_out)),
     }
 
@@ -296,24 +290,12 @@ class Flyer(NamedTuple):
     layouts: Sequence[int]
 
 
-class Episode(NamedTuple):
-    """One episode, as it was flown."""
-
-    seed: int
-    layout: int
-    collided: bool  # else it was truncated
-    # T + 1 rows: x, y [px], heading [degrees], clearance [px], reward so far, slots [T + 1, 10, 3 or 4]
-    poses: Columns
-    choices: Columns  # T rows: action, and values [T, 100], the numbers behind it
-    arrived: bool = False  # at its goal
-
-
-def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[Episode]]:
+def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[dict[str, Any]]]:
     """The shown episodes of each policy, on layouts [L, K, 3] px or as many of its own world's.
 
     All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others.
     """
-    found: list[list[Episode]] = [[] for _ in flyers]
+    found: list[list[dict[str, Any]]] = [[] for _ in flyers]
     policies = [flyer.policy for flyer in flyers if isinstance(flyer.policy, Policy)]
     for places in episodes.alike(policies):
         together = [flyers[place] for place in places]
@@ -326,8 +308,8 @@ def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[E
     return found
 
 
-def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[Episode]]:
-    """The shown episodes of each flyer, all of them as one batch."""
+def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[dict[str, Any]]]:
+    """The shown episodes of each flyer as a page has them, all of them as one batch."""
     n = len(task.layouts)
     start = episodes.start(task, [flyer.seed for flyer in flyers])
     rows = [[place * n + layout for layout in flyer.layouts] for place, flyer in enumerate(flyers)]
@@ -352,16 +334,15 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[E
         going -= torch.bincount(step.episode[step.ended & mine] // n, minlength=len(going))
         # nobody sees how the others of this flyer go on
         step.ended.logical_or_((going == 0)[step.episode // n])
-    collided &= ~arrived
     seen, done = (dict(_by_row(parts)) for parts in (poses, choices))
     for own, flyer in zip(rows, flyers, strict=True):
+        packed = []
         for row in own:
             if isinstance(flyer.policy, Policy):
                 done[row]["values"] = flyer.policy.shown(done[row]["values"])
-        yield [
-            Episode(flyer.seed, row % n, bool(collided[row]), seen[row], done[row], bool(arrived[row]))
-            for row in own
-        ]
+            ended = "goal" if arrived[row] else "collision" if collided[row] else "truncated"
+            packed.append(_pack(flyer.seed, row % n, ended, seen[row], done[row]))
+        yield packed
 
 
 def _slots(task: WrappedTask, observation: Tensor) -> Tensor:
@@ -387,21 +368,26 @@ def _by_row(steps: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:
         yield row, {name: column[own] for name, column in table.items() if name != "row"}
 
 
-def _pack(episode: Episode) -> dict[str, Any]:
-    values = episode.choices["values"]
+def _pack(seed: int, layout: int, ended: str, poses: Columns, choices: Columns) -> dict[str, Any]:
+    """One episode as a page has it.
+
+    poses: T + 1 rows of x, y [px], heading [degrees], clearance [px], reward so far, slots [10, 3 or 4];
+    choices: T rows of action, and values [T, 100], the numbers behind it.
+    """
+    values = choices["values"]
     low, high = values.aminmax(dim=-1, keepdim=True)
     relative = (values - low) / torch.where(high > low, high - low, 1)
-    in_3d = "z" in episode.poses
+    in_3d = "z" in poses
     names = ("right", "up", "forward", "proximity") if in_3d else ("right", "forward", "proximity")
-    columns = episode.poses | dict(zip(names, episode.poses["slots"].unbind(-1), strict=True))
-    columns |= {"action": episode.choices["action"], "low": low, "high": high, "value": relative}
+    columns = poses | dict(zip(names, poses["slots"].unbind(-1), strict=True))
+    columns |= {"action": choices["action"], "low": low, "high": high, "value": relative}
     content = b"".join(_bytes(columns[name], field) for name, field in (IN_3D if in_3d else FIELDS).items())
     return {
-        "seed": episode.seed,
-        "layout": episode.layout,
+        "seed": seed,
+        "layout": layout,
         "steps": len(values),
-        "reward": round(float(episode.poses["reward"][-1]), 2),
-        "ended": "goal" if episode.arrived else "collision" if episode.collided else "truncated",
+        "reward": round(float(poses["reward"][-1]), 2),
+        "ended": ended,
         "bytes": base64.b64encode(zlib.compress(content, 9)).decode(),
     }
 

@@ -21,7 +21,6 @@ from uavnav.acting import Actor
 from uavnav.algorithms.dqn import diagnostics, make_loss, make_network, renews_target
 from uavnav.algorithms.replay import make_replay
 from uavnav.runs import Run
-from uavnav.training import probes
 from uavnav.training.display import Tell
 from uavnav.training.loop import Session, make_env
 from uavnav.training.recorder import Recorder
@@ -55,7 +54,6 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     learner = Learner(loss, ["loss"], adam, **how)
 
     # loop: collect steps [A, W, T]; renew the target now and then; learn from minibatches of the buffer
-    probe = probes.poses(config.make_task()).to(config.device)
     parts = {"replay": replay.sampler, "learner": learner}
     with session.open(env, actor, {"policy": network}, parts, replay.buffer):
         for frames, batch in session.batches():
@@ -67,9 +65,7 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
                 losses = learner.learn(replay.draw(config.updates_per_step, config.batch_size))
             if config.logs(frames):
                 now = batch["observation"][:, :, -1]
-                session.log(
-                    {**losses, **diagnostics(now, network, config, frames), **probes.units(network, probe)}
-                )
+                session.log({**losses, **diagnostics(now, network, config, frames)})
         return session.finish()
 
 

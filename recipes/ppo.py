@@ -29,7 +29,6 @@ from uavnav.algorithms.ppo import (
 )
 from uavnav.runs import Run
 from uavnav.tasks.seeding import Streams
-from uavnav.training import probes
 from uavnav.training.display import Tell
 from uavnav.training.loop import Session, make_env
 from uavnav.training.recorder import Recorder
@@ -57,7 +56,6 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     orders = Streams(config.seeds, "minibatches")
 
     # loop: collect a rollout [A, W, T], learn from it for some epochs, and note what became of the policy
-    probe = probes.poses(config.make_task()).to(config.device)
     networks, parts = {"policy": policy, "value": value}, {"minibatches": orders, "learner": learner}
     with session.open(env, actor, networks, parts):
         for _, batch in session.batches():
@@ -66,9 +64,7 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
                 learner.learn(minibatches(batch, orders, config.minibatch_size)) for _ in range(config.epochs)
             ]
             losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
-            session.log(
-                {**losses, **diagnostics(batch, policy, clip_bound(config)), **probes.units(policy, probe)}
-            )
+            session.log({**losses, **diagnostics(batch, policy, clip_bound(config))})
         return session.finish()
 
 

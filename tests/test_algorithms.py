@@ -114,11 +114,14 @@ def test_seed_1_among_3_is_seed_1_alone(algorithm, tmp_path):
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others(algorithm, run, tmp_path):
-    torch.manual_seed(12345)  # the global state plays no part
+    torch.manual_seed(12345)  # the global state plays no part, and is left alone
+    before = torch.get_rng_state()
     same(run.path, train(configured(algorithm), tmp_path / "again", quiet=True).path)
+    assert torch.equal(before, torch.get_rng_state())
     other = train(configured(algorithm, seed=5), tmp_path / "other", quiet=True)
     for name, tensor in load_file(other.path / POLICY).items():
         assert not torch.equal(tensor, load_file(run.path / POLICY)[name])
+    assert not other.episodes["reward"].equals(run.episodes["reward"])
 
 
 def test_a_run_stopped_at_160_and_at_400_frames_and_resumed_ends_the_same(algorithm, run, tmp_path):

@@ -333,9 +333,8 @@ def test_the_products_of_an_iteration_are_counted_as_by_hand():
     )
     policy, value = 2 * (30 * 8 + 8 * 100), 2 * (30 * 8 + 8 * 1)
     first = 2 * 30 * 8  # no gradient of an observation is asked for
-    probed = 2 * 512 * (30 * 8 + 8 * 8)  # hidden units at the probe's poses, and their Gram matrix
     found = training.products(config)
     assert found["collection"] == 2 * 64 * policy
     around = 2 * 64 * (2 * policy + 2 * value)  # log-probabilities and values before, diagnostics after
     learned = 2 * 64 * (3 * (policy + value) - 2 * first)
-    assert found["updates"] == around + learned + 2 * probed
+    assert found["updates"] == around + learned

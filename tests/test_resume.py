@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 import torch
-import yaml
 from runs_by_hand import same
 from safetensors.torch import load, save
 from torchrl.data import LazyTensorStorage, ReplayBuffer
@@ -226,20 +225,6 @@ def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, stopped, tm
             train(config, out=tmp_path / "run", quiet=True)
     assert "\n" not in str(refused.value)
     same(run.path, train(config, out=tmp_path / "run", quiet=True).path)
-
-
-@of_ppo
-def test_a_key_that_came_after_a_run_has_its_default_there(whole, tmp_path):
-    train, config, run = whole
-    folder = shutil.copytree(run.path, tmp_path / "run")
-    there = yaml.safe_load((folder / "config.yaml").read_text())
-    later = ("stack", "faults", "layer_norm")
-    (folder / "config.yaml").write_text(
-        yaml.safe_dump({key: there[key] for key in there if key not in later})
-    )
-    with pytest.raises(RunError, match="contains a run with stack=1, not 2"):
-        train(config.replace(stack=2), out=folder, quiet=True)
-    assert not train(config, out=folder, quiet=True).fresh
 
 
 @of_dqn

@@ -6,11 +6,9 @@ import re
 import shutil
 from pathlib import Path
 
-import pandas as pd
 import pytest
-import torch
 import yaml
-from safetensors.torch import load_file
+from runs_by_hand import same
 
 from uavnav import files
 from uavnav.algorithms import a2c, dqn, ppo
@@ -49,18 +47,6 @@ ALGORITHMS = {
 def trained(request, tmp_path_factory):
     train, config = ALGORITHMS[request.param]
     return train, config, train(config, out=tmp_path_factory.mktemp(request.param) / "run", quiet=True)
-
-
-def contents(path):
-    """What must be the same in a repeat: rows, without the columns of time, and weights."""
-    progress = pd.read_parquet(path / "progress.parquet").drop(columns="frames_per_second")
-    return pd.read_parquet(path / "episodes.parquet"), progress, load_file(path / "policy.safetensors")
-
-
-def same(a, b):
-    (episodes_a, progress_a, weights_a), (episodes_b, progress_b, weights_b) = contents(a), contents(b)
-    weights = all(torch.equal(weights_a[key], weights_b[key]) for key in weights_a)
-    return episodes_a.equals(episodes_b) and progress_a.equals(progress_b) and weights
 
 
 def test_two_processes_write_one_file_at_once_and_each_time_it_is_whole(tmp_path):
@@ -121,24 +107,6 @@ def test_a_folder_of_runs_names_the_first_few_in_one_line(tmp_path):
     assert str(told.value).endswith(f" and {30 - shown} more")
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_others(trained, tmp_path):
-    train, config, run = trained
-    again = train(config, out=tmp_path / "again", quiet=True)
-    assert same(run.path, again.path)
-    other = train(type(config)(**vars(config) | {"seed": 5}), out=tmp_path / "other", quiet=True)
-    assert not same(run.path, other.path)
-    assert len(other.episodes) != len(run.episodes) or not other.episodes.reward.equals(run.episodes.reward)
-
-
-def test_the_global_random_state_plays_no_part_and_is_left_alone(trained, tmp_path):
-    train, config, run = trained
-    torch.manual_seed(12345)
-    before = torch.get_rng_state()
-    again = train(config, out=tmp_path / "again", quiet=True)
-    assert torch.equal(before, torch.get_rng_state())
-    assert same(run.path, again.path)
-
-
 def test_config_yaml_alone_repeats_the_run(trained, tmp_path):
     _, config, run = trained
     settings = yaml.safe_load((run.path / "config.yaml").read_text())
@@ -175,7 +143,7 @@ def test_a_finished_run_whose_policy_was_left_out_is_trained_again_to_the_same_b
     assert Run(folder).episodes.equals(run.episodes)
     again = train(config, out=folder, quiet=True)
     assert again.fresh
-    assert same(run.path, again.path)
+    same(run.path, again.path)
     assert again.evaluations() == []
     (folder / POLICY).unlink()
     with pytest.raises(RunError, match="contains a run with lr"):
@@ -187,12 +155,13 @@ def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
     run = train(config, out=tmp_path / "run", quiet=True)
     written = yaml.safe_load((run.path / "config.yaml").read_text())
     assert (written.pop("n_steps"), written.pop("dueling")) == (1, False)
+    assert (written.pop("stack"), written.pop("layer_norm")) == (1, False)
+    assert not any(written.pop("faults").values())
     (run.path / "config.yaml").write_text(yaml.safe_dump(written))
     assert not train(config, out=run.path, quiet=True).fresh
-    with pytest.raises(RunError, match="contains a run with n_steps=1, not 3"):
-        train(config.replace(n_steps=3), out=run.path, quiet=True)
-    with pytest.raises(RunError, match="contains a run with dueling=False, not True"):
-        train(config.replace(dueling=True), out=run.path, quiet=True)
+    for name, default, other in (("n_steps", 1, 3), ("dueling", False, True), ("stack", 1, 2)):
+        with pytest.raises(RunError, match=f"contains a run with {name}={default}, not {other}"):
+            train(config.replace(**{name: other}), out=run.path, quiet=True)
 
 
 def test_a_layout_file_is_the_same_setting_by_any_path_finished_or_not_and_another_split_is_not(
@@ -232,7 +201,7 @@ def test_another_configuration_is_refused_and_nothing_is_lost(trained):
     train, config, run = trained
     with pytest.raises(RunError, match="contains a run with lr="):
         train(type(config)(**vars(config) | {"lr": 0.123}), out=run.path, quiet=True)
-    assert same(run.path, run.path)
+    same(run.path, run.path)
     assert json.loads((run.path / "meta.json").read_text())["status"] == "finished"
 
 
@@ -244,7 +213,7 @@ def test_overwrite_starts_anew(trained, tmp_path):
         (tmp_path / "run" / f"{name}.parquet").touch()
     again = train(config, out=tmp_path / "run", overwrite=True, quiet=True)
     assert again.fresh
-    assert same(again.path, run.path)
+    same(again.path, run.path)
     assert {path.name for path in again.path.glob("*.parquet")} == {"episodes.parquet", "progress.parquet"}
 
 

@@ -146,15 +146,6 @@ def test_every_algorithms_record_names_lines_of_the_three_tables(name):
     assert (how.acts in ACTS, how.head in HEADS, how.shown in SHOWN) == (True, True, True)
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize("acts", ACTS)
-def test_a_compiled_actor_chooses_as_the_eager_one(acts):
-    eager = actor([1, 2, 3], acts, epsilon=0.5)
-    compiled = Actor(eager.network, [1, 2, 3], acts, "direct", compile=True, epsilon=lambda frames: 0.5)
-    for _ in range(3):
-        assert torch.equal(compiled.act(OBSERVATION), eager.act(OBSERVATION))
-
-
 def ring(seeds, n_rows, capacity=10, **how):
     """A ring whose row r of agent a has the observation (r, seed of a); rows are written two at a time."""
     replay = Replay(seeds, capacity, 2, 2, keeps_next=not how, **how)

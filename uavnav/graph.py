@@ -1,8 +1,8 @@
 """Functions of tensors as compiled graphs. Only this file uses private parts of PyTorch.
 
 `torch.compile` checks at every call whether the function's Python has changed. For a small step, this check
-takes as long as the arithmetic, so a `Graph` is traced once instead. Where PyTorch's private parts are
-missing or have changed, `torch.compile` is used.
+takes as long as the arithmetic, so a `Graph` is traced once instead. `pyproject.toml` pins the PyTorch whose
+private parts these are.
 """
 
 from __future__ import annotations
@@ -15,17 +15,13 @@ from typing import Any
 import torch
 import torch._inductor.config
 from torch import Tensor, fx
+from torch._functorch.compile_utils import fx_graph_cse
+from torch._higher_order_ops.scan import scan_op
+from torch._higher_order_ops.while_loop import while_loop_op
+from torch._inductor import standalone_compile
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from uavnav.errors import ConfigError, telling_line
-
-try:
-    from torch._functorch.compile_utils import fx_graph_cse
-    from torch._higher_order_ops.scan import scan_op
-    from torch._higher_order_ops.while_loop import while_loop_op
-    from torch._inductor import standalone_compile
-    from torch.fx.experimental.proxy_tensor import make_fx
-except ImportError:
-    make_fx = standalone_compile = scan_op = while_loop_op = fx_graph_cse = None  # type: ignore[assignment]
 
 Tensors = Sequence[Tensor]
 Function = Callable[..., Tensors]
@@ -73,8 +69,6 @@ class Graph:
             try:
                 return self._traced(tensors)
             except Exception as error:  # a caller's activation or reward may raise any kind
-                if not _parts_work():
-                    return _left_to_torch(self.function)
                 raise ConfigError(
                     f"no graph can be made ({telling_line(error)}); activations and rewards are only torch "
                     "operations,"
@@ -169,24 +163,14 @@ class Loop(Graph):
     """
 
     def __init__(self, update: Function, n_state: int, n_constants: int, **options: Any) -> None:
-        super().__init__(self._one_by_one, **options)
-        self.update, self.n_state, self.n_constants = update, n_state, n_constants
-
-    def _one_by_one(self, rates: Tensor, *tensors: Tensor) -> Tensors:
-        state, constants, batches = _split(tensors, self.n_state, self.n_constants)
-        total: list[Tensor] = []
-        for index, rate in enumerate(rates):
-            found, *following = self.update(rate, *state, *constants, *(batch[:, index] for batch in batches))
-            total.append(found)
-            for value, new in zip(state, following, strict=True):
-                value.copy_(new)
-        return (torch.stack(total).mean(0),)
+        super().__init__(update, **options)
+        self.n_state, self.n_constants = n_state, n_constants
 
     def _traced(self, tensors: Tensors) -> Function:
         rates, *others = tensors
         state, constants, batches = _split(others, self.n_state, self.n_constants)
         first = rates[0], *state, *constants, *(batch[:, 0] for batch in batches)
-        update = _each_once(make_fx(self.update)(*first))
+        update = _each_once(make_fx(self.function)(*first))
         shape = update(*first)[0].shape
 
         def unfinished(index: Tensor, total: Tensor, *rest: Tensor) -> Tensor:
@@ -213,16 +197,6 @@ class Loop(Graph):
             return (total / len(rates),)
 
         return _compiled(loop, tensors, self.options)
-
-
-def _parts_work() -> bool:
-    """Whether PyTorch's private parts still do what they did, tried with a tiny loop."""
-    tiny = Loop(lambda rate, state, batch: (batch.sum()[None, None], state + rate * batch.mean(1)), 1, 0)
-    try:
-        tiny._traced((torch.ones(2), torch.ones(1), torch.ones(1, 2, 1)))
-    except Exception:  # of whatever kind
-        return False
-    return True
 
 
 def _each_once(traced: fx.GraphModule) -> fx.GraphModule:
@@ -270,17 +244,6 @@ def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> 
         donate_graph_module=True,
     )
     return graph
-
-
-def _left_to_torch(function: Function) -> Function:
-    """By `torch.compile`, which checks the function at every call and runs in Python what it cannot trace."""
-    compiled = torch.compile(function, dynamic=False)
-
-    def run(*tensors: Tensor) -> Tensors:
-        with torch._inductor.config.patch(SETTINGS):
-            return compiled(*tensors)
-
-    return run
 
 
 def problem(device: str) -> str | None:

@@ -27,7 +27,6 @@ from uavnav.algorithms.ppo import make_advantage, make_networks
 from uavnav.errors import ConfigError
 from uavnav.networks import Init
 from uavnav.settings import AtLeast0, Count, Share, key
-from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
@@ -125,7 +124,6 @@ class A2C:
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
         self.advantage = make_advantage(config.gamma, config.gae_lambda)
         self.learner = make_learner(self.loss, config, compile)
-        self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
@@ -145,7 +143,7 @@ class A2C:
         with torch.no_grad():
             logits = self.policy(batch["observation"]).log_softmax(-1)
         entropy = -(logits.exp() * logits).sum(-1).flatten(1).mean(1)
-        return {**losses, "entropy": entropy, **probes.units(self.policy, self.probe)}
+        return {**losses, "entropy": entropy}
 
     def networks(self) -> Mapping[str, nn.Module]:
         return {"policy": self.policy, "value": self.value}

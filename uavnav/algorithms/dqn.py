@@ -25,7 +25,6 @@ from uavnav.acting import Actor, Values, values_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
 from uavnav.settings import AtLeast0, Count, Share, key
-from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
@@ -192,7 +191,6 @@ class DQN:
         self.transitions = make_replay(config)
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
-        self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
@@ -206,8 +204,7 @@ class DQN:
         if not config.logs(frames):
             return None
         newest = batch["observation"][:, :, -1]
-        shown = diagnostics(newest, self.network, config, frames)
-        return {**losses, **shown, **probes.units(self.network, self.probe)}
+        return {**losses, **diagnostics(newest, self.network, config, frames)}
 
     def networks(self) -> Mapping[str, nn.Module]:
         return {"policy": self.network}

@@ -28,7 +28,6 @@ from uavnav.errors import ConfigError
 from uavnav.networks import Init
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
 from uavnav.tasks.seeding import Streams
-from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
@@ -247,7 +246,6 @@ class PPO:
         self.advantage = make_advantage(config.gamma, config.gae_lambda)
         self.learner = make_learner(self.loss, config, compile)
         self.orders = Streams(config.seeds, "minibatches")
-        self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
@@ -257,7 +255,6 @@ class PPO:
         return {
             **learn_in_epochs(batch, self.learner, self.orders, config),
             **diagnostics(batch, self.policy, clip_bound(config)),
-            **probes.units(self.policy, self.probe),
         }
 
     def networks(self) -> Mapping[str, nn.Module]:

@@ -24,7 +24,6 @@ from uavnav.algorithms.dqn import ExploringConfig
 from uavnav.algorithms.ppo import RolloutConfig, learn_in_epochs, make_advantage
 from uavnav.settings import AtLeast0, Share, Whole, key
 from uavnav.tasks.seeding import Streams
-from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
@@ -110,7 +109,6 @@ class PQN:
         adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
         self.learner = Learner(self.loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile)
         self.orders = Streams(config.seeds, "minibatches")
-        self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
@@ -124,7 +122,6 @@ class PQN:
             **learn_in_epochs(batch, self.learner, self.orders, config, LEARNED),
             "q_value": batch["state_value"].flatten(1).mean(1),
             "epsilon": torch.tensor(config.epsilon(frames)).item(),
-            **probes.units(self.network, self.probe),
         }
 
     def networks(self) -> Mapping[str, nn.Module]:

@@ -9,14 +9,12 @@ Letters: A agents, one per seed; W environments an agent; T steps; M minibatches
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import LazyTensorStorage, ReplayBuffer, Storage
-from torchrl.data.replay_buffers import RoundRobinWriter, Sampler
+from torchrl.data import LazyTensorStorage, RandomSampler, ReplayBuffer, RoundRobinWriter, Storage
 
 from uavnav.errors import ConfigError
 from uavnav.settings import Count, Whole, key
@@ -245,7 +243,7 @@ class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
         return index
 
 
-class AgentSampler(Sampler):  # type: ignore[misc]
+class AgentSampler(RandomSampler):  # type: ignore[misc]
     """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows uniformly, each
     with its successors, [1 + S, A, N].
 
@@ -279,12 +277,3 @@ class AgentSampler(Sampler):  # type: ignore[misc]
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self.streams.load_state_dict(state_dict)
-
-    def _empty(self) -> None:
-        """Nothing is kept between draws."""
-
-    def dumps(self, path: str | Path) -> None:
-        raise NotImplementedError("a run's checkpoint saves the generators through state_dict")
-
-    def loads(self, path: str | Path) -> None:
-        raise NotImplementedError("a run's checkpoint restores the generators through load_state_dict")

@@ -29,7 +29,6 @@ from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
-from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
@@ -155,7 +154,6 @@ class SAC:
         self.transitions = make_replay(config)
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
-        self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
@@ -166,11 +164,7 @@ class SAC:
             losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
         if not config.logs(frames):
             return None
-        return {
-            **losses,
-            **self.diagnostics(batch["observation"][:, :, -1]),
-            **probes.units(self.policy, self.probe),
-        }
+        return {**losses, **self.diagnostics(batch["observation"][:, :, -1])}
 
     @torch.no_grad()
     def diagnostics(self, observation: Tensor) -> dict[str, Tensor]:

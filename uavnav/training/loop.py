@@ -23,14 +23,14 @@ from uavnav.errors import ConfigError, told
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError
 from uavnav.settings import Count, Seconds, checked
-from uavnav.training import loggers, machine, weights, workers
+from uavnav.training import loggers, machine, probes, weights, workers
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
 
 Row = Mapping[str, Tensor | float]
-"""What a row of progress says besides seed and frame: [A], or one number for all."""
+"""What an algorithm says in a row of progress: [A], or one number for all."""
 
 
 Fit = Callable[[Recorder, bool, Tell | None], Run]
@@ -101,6 +101,7 @@ class Session:
         machine.keep_memory_flat(max(one.nbytes for net in networks.values() for one in net.parameters()))
         self.env, self.actor, self.networks, self.replay = env, actor, networks, replay
         self.parts: Mapping[str, Stateful] = {"env": env, "actions": actor, **parts}
+        self._poses = probes.poses(self.config.make_task()).to(self.config.device)
         with self.recorder, self.display, machine.little_garbage():
             self.recorder.note(compiled=self.compile)
             self.frames = self._logged = self.recorder.resume(self.parts, replay)
@@ -123,7 +124,8 @@ class Session:
             self.recorder.checkpoint(self.frames, self.parts, self.replay)
 
     def log(self, row: Row) -> None:
-        """Keep a row of progress."""
+        """Keep a row of progress, with statistics of the policy's hidden units."""
+        row = {**row, **probes.units(self.networks["policy"], self._poses)}
         now = time.perf_counter()
         rate = (self.frames - self._logged) / (now - self._began)
         self._began, self._logged = now, self.frames

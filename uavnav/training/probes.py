@@ -43,8 +43,8 @@ def poses(task: WrappedTask) -> Tensor:
 
 
 @torch.no_grad()
-def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
-    """Statistics [A] of the hidden units of each agent's network, on observation [P, 30].
+def units(network: nn.Module, observation: Tensor) -> dict[str, Tensor]:
+    """Statistics [A] of the hidden units of each agent's `mlp`, on observation [P, 30].
 
     `dormant` and `saturated` are shares over all hidden layers: of what the layer behind sees, and of units.
     `effective_rank` belongs to the last hidden layer's activations [P, H]: the exponential of the entropy of
@@ -52,7 +52,7 @@ def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
     """
     dormant, saturated, learned = [], [], dict[str, Tensor]()
     hidden = observation.expand(len(next(network.parameters())), -1, -1)
-    for place, layer in enumerate(list(network)[:-1]):
+    for place, layer in enumerate([*network.children()][:-1]):
         if isinstance(layer, Activation):
             steep = _steepest_of_units(layer, hidden)
             hidden, slope = _with_slope(layer.function, layer.normalised(hidden), layer.units, layer.parallel)

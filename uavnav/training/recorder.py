@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -40,7 +41,7 @@ from uavnav.runs import (
     read_settings,
 )
 from uavnav.runs.lately import Lately, Watch
-from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
 from uavnav.tasks.state import COUNTS, State
@@ -146,6 +147,7 @@ class Recorder:
         self.checkpoint_seconds, self.until, self.log, self.watched = checkpoint_seconds, until, log, watched
         self._tables: dict[str, list[Columns]] = {"episodes": [], "progress": []}
         self._before: dict[str, Any] = {}
+        self._recent: list[deque[float]] = []
         _, all_layouts = layouts.read(config.layouts, config.world)
         self.meta = provenance.facts() | {"layouts": {name: all_layouts.get(name) for name in LAYOUT_FACTS}}
         self._lock = FileLock(self.path / LOCK)
@@ -220,6 +222,7 @@ class Recorder:
         return not self._overwrite
 
     def __enter__(self) -> Self:
+        self._recent = [deque[float](maxlen=LAST) for _ in self.config.seeds]
         self._watch = Watch(self.config.seeds, self.config.n_envs, self.config.frames)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -316,6 +319,8 @@ class Recorder:
                 if columns:
                     self._tables[table].append(columns)
             for rows in self._tables["episodes"]:
+                for seed, reward in zip(rows["seed"].tolist(), rows["reward"].tolist(), strict=True):
+                    self._recent[seed - self.config.seed].append(reward)
                 self._watch.add(rows)
             open_now = snapshot.state["parts"]["env"]["state"]["reward"]
             self._watch.resume(open_now, frames, snapshot.facts.get("curve", []))
@@ -482,6 +487,8 @@ class Recorder:
         counts = {name: ended["episode", name] for name in ("layout", *COUNTS)}
         self._append_episodes(agent, frame=frame + (time_step + 1) * n_envs, env=env, **counts, **flags)
         self._watch.add(self._tables["episodes"][-1])
+        for seed_index, reward in zip(agent.tolist(), ended["episode", "reward"].tolist(), strict=True):
+            self._recent[seed_index].append(reward)
 
     def add_open_episodes(self, state: State, frame: int) -> None:
         """Keep the episodes that the end of training cut off: rows with neither flag."""
@@ -507,8 +514,12 @@ class Recorder:
             row[name] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.full(n, value)
         self._tables["progress"].append(row)
         if self.log is not None:
-            episodes = pd.DataFrame(_joined(self._tables["episodes"], []))
-            self.log(with_reward(pd.DataFrame(row), episodes))
+            self.log(
+                {
+                    **row,
+                    "reward": np.array([np.mean(recent) if recent else np.nan for recent in self._recent]),
+                }
+            )
 
     def look(self, state: State, frames: int) -> Lately:
         """What the seeds do after so many frames per seed, also told in the folder; state: of now."""

@@ -137,7 +137,7 @@ class Show:
 
 def main(arguments: Namespace) -> int:
     own, of_engine = parse(arguments.settings)
-    study = studies.only(studies.read(arguments.name), own.algorithms)
+    study = studies.only(studies.read(arguments.name, own.seeds, own.frames), own.algorithms)
     out = Path(own.out or Path("runs") / study.name)
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
@@ -145,25 +145,22 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(f"trials={own.trials}: study {study.name} neither tunes nor draws; leave it out")
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
-    given = own.seeds, own.frames
     make_engine = engines.chosen(own.engine, of_engine, Keys.names())
     if arguments.status:
-        drawing = draws.plan(study, out, own.trials, *given)
-        known = (
-            drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out, *given)
-        )
+        drawing = draws.plan(study, out, own.trials)
+        known = drawing.screened() + drawing.nearest() if drawing else studies.configurations(study, out)
         rows = [status(one) for one in known]
-        if (plan := search.plan(study, out, own.trials, *given)) is not None:
+        if (plan := search.plan(study, out, own.trials)) is not None:
             rows += [status(one) | ({"state": state} if state else {}) for one, state in search.planned(plan)]
         _print_status(rows, arguments.json)
         return 0
     engine = make_engine()
     with contextlib.ExitStack() as stack, Show(arguments.quiet) as show:
         stack.callback(let_go, engine)
-        plan = search.plan(study, out.resolve(), own.trials, *given)
+        plan = search.plan(study, out.resolve(), own.trials)
         make_layouts(out.resolve(), study.obstacles)
-        drawing = draws.plan(study, out.resolve(), own.trials, *given)
-        found = drawing.screened() if drawing else studies.configurations(study, out.resolve(), *given)
+        drawing = draws.plan(study, out.resolve(), own.trials)
+        found = drawing.screened() if drawing else studies.configurations(study, out.resolve())
 
         def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}

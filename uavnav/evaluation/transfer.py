@@ -142,7 +142,7 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     kept = table[table["measure"].isin(PER_EPISODE)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
         ends = own[["value", "low", "high"]].to_numpy()
-        numbers = [with_interval(*triple, comma=", ") for triple in ends]
+        numbers = [with_interval(value, low, high, comma=", ") for value, low, high in ends]
         text.add_row(str(who), trained.get(str(who), ""), str(mode), PER_EPISODE[str(measure)], *numbers)
     return text
 

@@ -223,7 +223,7 @@ def configurations(study: Study, out: Path) -> list[Configuration]:
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             own = _of(algorithm, study.settings) | _of(algorithm, configuration)
-            several = own | {"algorithm": algorithm} | study.given
+            several = {**own, "algorithm": algorithm, **study.given}
             left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
             if left < 0:
                 raise ConfigError(

@@ -64,14 +64,6 @@ def test_straight_episodes_from_the_centre_end_at_the_four_walls(tmp_path):
     assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
 
 
-@pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
-def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
-    both, only = (
-        in_empty_arena({mode: population(tmp_path, seeds, algorithm, mode)}, 40) for seeds in ((4, 5), (5,))
-    )
-    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), only)
-
-
 # -- values against returns ----------------------------------------------------------------------------------
 
 

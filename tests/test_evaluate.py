@@ -18,7 +18,7 @@ from policies_by_hand import write_zip
 import uavnav
 from uavnav.algorithms import dqn, ppo
 from uavnav.cli import commands
-from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly, on, summary
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, summary
 from uavnav.report import behaviour
 from uavnav.runs import Run
 from uavnav.runs.evaluations import Protocol, usual
@@ -29,7 +29,7 @@ from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.protocol import TASK_NAMES
-from uavnav.tasks.table import EMPTY, TASKS, make_task
+from uavnav.tasks.table import TASKS
 
 fly_command = functools.partial(commands.run, "evaluate")
 
@@ -92,21 +92,6 @@ def test_a_trained_policy_evaluated_twice_gives_the_same_20_rows(trained, greedy
     other = evaluate_policy(policy, episodes=20, max_steps=100, seed=1)
     same = first.drop(columns="seed").equals(other.drop(columns="seed"))
     assert same == greedy  # only sampling asks the generator
-
-
-@pytest.mark.parametrize("greedy", [True, False])
-def test_3_seeds_in_one_batch_fly_as_each_does_alone(trained, greedy):
-    # Exactly so, though they share a batch: each policy is called on its own rows alone, so that its products
-    # have the same shape and round alike, and the world's arithmetic is elementwise.
-    population = {seed: uavnav.load_policy(trained.path, seed, greedy) for seed in trained.seeds}
-    task = on(make_task(EMPTY), episodes=12, max_steps=80)
-    together = fly(population, task)
-    assert together.episodes.seed.tolist() == [4] * 12 + [5] * 12 + [6] * 12
-    for seed, policy in population.items():
-        alone = fly({seed: policy}, task)
-        for all_rows, rows in zip(together, alone, strict=True):
-            mine = all_rows[all_rows.seed == seed].reset_index(drop=True)
-            pd.testing.assert_frame_equal(mine, rows, check_exact=True)
 
 
 def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(run, tmp_path):
@@ -173,13 +158,6 @@ def test_behaviour_is_the_episode_step_by_step_whose_counts_are_the_episodes(run
         assert (episode.clearance.iloc[-1] <= 30) == row.terminated
         collisions += row.terminated
     assert collisions >= 5
-
-
-def test_of_an_episode_of_600_steps_500_are_watched():
-    task = on(make_task(EMPTY), episodes=20, max_steps=600)
-    episodes = fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, task)
-    assert (episodes.episodes.steps == 600).all()
-    assert episodes.behaviour.groupby("layout").size().tolist() == [500] * 10
 
 
 def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):

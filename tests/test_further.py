@@ -14,7 +14,7 @@ from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
 from uavnav.report import activations, ambiguities, horizon, learned, longer, noise
 from uavnav.report.apart import Flight, flights
-from uavnav.runs import Run, draws, paper, trials
+from uavnav.runs import Run, draws, paper
 from uavnav.studies import search
 from uavnav.studies.draws import plan
 
@@ -158,7 +158,7 @@ def test_draws_begin_with_what_was_decided_and_more_draws_begin_with_the_same(tm
     assert {one.config.n_seeds for one in screened} == {2}
     assert plan(study, tmp_path).nearest() == []
     with pytest.raises(ConfigError, match="seed=340 is of draws and of what they choose; give fewer seeds"):
-        plan(study, tmp_path, seeds=60)
+        plan(studies.read("ambiguities", seeds=60), tmp_path)
 
 
 def test_configurations_are_trained_in_the_nearest_draws_with_what_their_algorithm_has(tmp_path, monkeypatch):
@@ -227,11 +227,10 @@ def test_the_surge_of_dqn_with_sigmoid_is_as_printed_where_more_than_half_of_the
 
 
 def test_the_tuned_settings_of_longer_training_are_those_of_the_best_trials():
-    tried = trials.read(studies.HERE.parents[1] / "results/tuning/trials.csv", trials.COLUMNS)
     found = studies.configurations(studies.read("longer"), studies.HERE)
-    tuning = search.plan(studies.read("tuning"), studies.HERE)
+    tuning = search.plan(studies.read("tuning"), studies.HERE.parents[1] / "results")
     for one in (one for one in found if one.out.parents[1].name == "tuned"):
-        best = tuning.winner(one.config.algorithm, tried).config
+        best = tuning.winner(one.config.algorithm).config
         same = {"activation": one.config.activation, "seed": 200, "n_seeds": 20, "total_frames": 10_000_000}
         if one.config.algorithm == "dqn":
             same |= {"exploration_fraction": best.exploration_fraction / 10}

@@ -157,7 +157,7 @@ def test_who_goes_round_leaves_the_episode_of_those_that_never_do_and_a_script_i
         return torch.zeros(len(observation), dtype=torch.int64)
 
     population = {0: always(0), 1: always(50), 2: stands}
-    rows = evaluation.fly(population, task, lambda step, episodes: up.append(episodes)).episodes
+    rows = evaluation.fly_modes({"": population}, task, lambda step, episodes: up.append(episodes)).episodes
     assert (len(up), up[499], up[700:]) == (1_300, 9, [3] * 599 + [0])
     assert (rows.steps == 1_300).all()
     assert_same(*both(population, task, monkeypatch))

@@ -59,7 +59,7 @@ def test_lists_stand_for_a_configuration_each_in_all_combinations(tmp_path):
 
 
 def test_seeds_and_frames_of_the_command_line_hold_for_every_configuration(tmp_path):
-    found = studies.configurations(studies.read(written(tmp_path, MINE)), tmp_path, seeds=3, frames=5_000)
+    found = studies.configurations(studies.read(written(tmp_path, MINE), 3, 5_000), tmp_path)
     assert {(configuration.config.n_seeds, configuration.config.total_frames) for configuration in found} == {
         (3, 5_000)
     }
@@ -508,7 +508,7 @@ def test_a_study_names_every_preset_so_that_another_default_leaves_it_as_it_is(n
 
 def test_a_configuration_of_which_a_setting_is_wrong_is_refused():
     with pytest.raises(ConfigError, match="n_seeds=0"):
-        studies.configurations(studies.read("paper"), Path("out"), seeds=0)
+        studies.configurations(studies.read("paper", seeds=0), Path("out"))
 
 
 def test_a_finished_run_of_other_settings_does_not_count_as_a_configuration(tmp_path, capsys):

@@ -53,10 +53,10 @@ class Killed(BaseException):
     """As SIGKILL, nothing after it is done."""
 
 
-def planned(folder, text=SMALL, **given):
+def planned(folder, text=SMALL, trials=None, **given):
     path = folder / "small.yaml"
     path.write_text(text)
-    return search.plan(studies.read(str(path)), folder / "out", **given)
+    return search.plan(studies.read(str(path), **given), folder / "out", trials)
 
 
 def value(config):
@@ -82,17 +82,24 @@ def train(configurations):
 def tuned(folder, **given):
     found = planned(folder, **given)
     assert tuning.tune(found, train, say=lambda line: None) == []
-    return (found.folder / "trials.csv").read_bytes(), (found.folder / "importance.csv").read_bytes()
+    return [(found.folder / name).read_bytes() for name in ("trials.csv", "importance.csv")]
 
 
 @pytest.fixture(scope="module")
-def unbroken(tmp_path_factory):
-    return tuned(tmp_path_factory.mktemp("unbroken"))
+def whole(tmp_path_factory):
+    """The folder of a study that has ended."""
+    folder = tmp_path_factory.mktemp("unbroken")
+    tuned(folder)
+    return folder
 
 
-def test_each_algorithm_gets_the_same_number_of_trials_the_first_with_its_defaults(tmp_path):
-    tuned(tmp_path)
-    table = search.trials(planned(tmp_path))
+@pytest.fixture(scope="module")
+def unbroken(whole):
+    return [(whole / "out" / "tuning" / name).read_bytes() for name in ("trials.csv", "importance.csv")]
+
+
+def test_each_algorithm_gets_the_same_number_of_trials_the_first_with_its_defaults(whole):
+    table = search.trials(planned(whole))
     assert table.groupby("algorithm")["trial"].apply(list).to_dict() == {
         "a2c": [*range(14)],
         "ppo": [*range(14)],
@@ -101,9 +108,8 @@ def test_each_algorithm_gets_the_same_number_of_trials_the_first_with_its_defaul
     assert first == {"ppo": {"lr": 3e-4, "hidden": 64, "epochs": 10}, "a2c": {"lr": 7e-4, "hidden": 64}}
 
 
-def test_a_trial_is_told_the_mean_reward_of_its_sampled_episodes_and_the_best_wins(tmp_path):
-    tuned(tmp_path)
-    found = planned(tmp_path)
+def test_a_trial_is_told_the_mean_reward_of_its_sampled_episodes_and_the_best_wins(whole):
+    found = planned(whole)
     table = search.trials(found)
     for row in table[table["state"] == "finished"].itertuples():
         configuration = found.trial(row.algorithm, row.trial, json.loads(row.settings))
@@ -118,9 +124,8 @@ def test_a_trial_is_told_the_mean_reward_of_its_sampled_episodes_and_the_best_wi
         )
 
 
-def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path):
-    tuned(tmp_path)
-    table = search.trials(planned(tmp_path))
+def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(whole):
+    table = search.trials(planned(whole))
     rates = table["settings"].map(lambda settings: json.loads(settings)["lr"])
     assert (rates > DIVERGES).any()
     assert ((table["state"] == "diverged") == (rates > DIVERGES)).all()
@@ -259,9 +264,8 @@ def test_algorithms_that_are_searched_one_after_the_other_have_all_rows(tmp_path
         assert sorted((found.folder / name).read_bytes().splitlines()) == sorted(both.splitlines())
 
 
-def test_importance_is_a_share_of_each_setting_and_the_one_that_decides_leads(tmp_path):
-    tuned(tmp_path)
-    table = pd.read_csv(tmp_path / "out" / "tuning" / "importance.csv")
+def test_importance_is_a_share_of_each_setting_and_the_one_that_decides_leads(whole):
+    table = pd.read_csv(whole / "out" / "tuning" / "importance.csv")
     assert table.groupby("algorithm")["importance"].sum().tolist() == pytest.approx([1.0, 1.0])
     (passes,) = table.loc[table["setting"] == "epochs", "importance"]
     assert passes < 0.2  # the made-up training does not look at it
@@ -358,7 +362,7 @@ def test_a_wrong_plan_is_refused_in_one_line(change, said, tmp_path, capsys, mon
 
 
 def test_more_seeds_than_lie_between_trials_and_winners_are_refused(tmp_path):
-    assert planned(tmp_path, seeds=100).seeds == 100
+    assert planned(tmp_path, seeds=100).study.given == {"n_seeds": 100}
     with pytest.raises(ConfigError, match="ppo: seed=100 is of trials and of what they are compared in"):
         planned(tmp_path, seeds=101)
 

@@ -131,7 +131,7 @@ class Show:
 
 def main(arguments: Namespace) -> int:
     own, of_engine = parse(arguments.settings)
-    study = studies.only(studies.read(arguments.name), own.algorithms)
+    study = studies.only(studies.read(arguments.name, own.seeds, own.frames), own.algorithms)
     out = Path(own.out or Path("runs") / study.name)
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
@@ -140,10 +140,10 @@ def main(arguments: Namespace) -> int:
     if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     make_engine = engines.chosen(own.engine, of_engine, Keys.names())
-    given, folder = (own.seeds, own.frames), out if arguments.status else out.resolve()
-    plan = search.plan(study, folder, own.trials, *given)
-    drawing = draws.plan(study, folder, own.trials, *given)
-    found = drawing.screened() if drawing else studies.configurations(study, folder, *given)
+    folder = out if arguments.status else out.resolve()
+    plan = search.plan(study, folder, own.trials)
+    drawing = draws.plan(study, folder, own.trials)
+    found = drawing.screened() if drawing else studies.configurations(study, folder)
     if arguments.status:
         rows = [status(one) for one in (*found, *(drawing.nearest() if drawing else ()))]
         if plan is not None:

@@ -160,20 +160,10 @@ def check_bounds(episodes: int, max_steps: int, most: int) -> None:
         raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give {bounds}")
 
 
-def fly(
-    population: Mapping[int, AnyPolicy],
-    task: WrappedTask,
-    tell: Callable[[int, int], object] = lambda step, going: None,
-    measure: Measure | None = None,
-) -> Evaluation:
-    """Evaluate one policy a seed on every layout of the task, all episodes in one batch.
-
-    `tell` is called after each step with its number and how many episodes go on. What `measure`, or the
-    task's own, gives of each step is added up over an episode: a column more for each. Episodes that go round
-    for ever are counted to the time limit (`uavnav.evaluation.repeats`).
-    """
-    left = fly_modes({"": population}, task, tell, measure)
-    return Evaluation(*(table.drop(columns="mode") for table in left))
+def fly(population: Mapping[int, AnyPolicy], task: WrappedTask, measure: Measure | None = None) -> Evaluation:
+    """`fly_modes` of one policy a seed; no column `mode`."""
+    found = fly_modes({"": population}, task, measure=measure)
+    return Evaluation(*(table.drop(columns="mode") for table in found))
 
 
 def fly_modes(
@@ -184,18 +174,22 @@ def fly_modes(
     heading: Tensor | None = None,
     measures: bool = False,
 ) -> Evaluation:
-    """The same of policies by mode, such as `greedy` and `sampled`; both tables have a column `mode`.
+    """Evaluate policies by mode, such as `greedy` and `sampled`, and by seed on every layout of the task, all
+    episodes in one batch; both tables have a column `mode`.
 
-    heading: [layouts] of the start, where it is not the task's. measures: rows have the columns of
-    `uavnav.evaluation.measures` too, and every step is flown.
+    `tell` is called after each step with its number and how many episodes go on. What `measure`, or the
+    task's own, gives of each step is added up over an episode: a column more for each. Episodes that go round
+    for ever are counted to the time limit (`uavnav.evaluation.repeats`). heading: [layouts] of the start,
+    where it is not the task's. measures: rows have the columns of `uavnav.evaluation.measures` too. With
+    columns more, every step is flown.
     """
     policies = [one for population in modes.values() for one in population.items()]
     seeds = [seed for seed, _ in policies]
     measure, start = measure or task.measure, episodes.start(task, seeds, heading)
     sums = {name: torch.zeros_like(one) for name, one in measure(start, start).items()}
     more = Measures(len(start.x), task) if measures else None
-    every_step = bool(sums) or measures
-    goes_round = torch.tensor([not every_step and _repeatable(policy, task) for _, policy in policies])
+    columns = sums if more is None else sums | more.columns
+    goes_round = torch.tensor([not columns and _repeatable(policy, task) for _, policy in policies])
     repeats = Repeats(goes_round.repeat_interleave(len(task.layouts)), task.max_steps or 0, WATCHED_STEPS)
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
@@ -210,7 +204,6 @@ def fly_modes(
         if step.ended.any():
             episode, place = step.episode[step.ended], step.place[step.ended]
             row = _end(episode, at(step.states, place), step.outcomes.terminated[place])
-            columns = sums | (more.columns if more is not None else {})
             ended.append(row | {name: one[episode] for name, one in columns.items()})
         if (counted := repeats.see(step)) is not None:
             ended.append(_end(*counted, torch.zeros(len(counted[0]), dtype=torch.bool)))

@@ -200,12 +200,12 @@ def shown(table: pd.DataFrame, name: str) -> Table:
     text.add_column("rung", justify="right")
     for measure in measures:  # an interval is never cut
         ends = table.loc[table["measure"] == measure, ["value", "low", "high"]].to_numpy()
-        least = max(len(word) for triple in ends for word in _with_interval(*triple).split())
+        least = max(len(word) for triple in ends for word in with_interval(*triple).split())
         text.add_column(in_words(measure), justify="right", min_width=least)
     for (who, mode), mine in table.groupby(["name", "mode"], sort=False):
         for at, (rung, own) in enumerate(mine.groupby("rung", sort=False)):
             values = own.set_index("measure")[["value", "low", "high"]].reindex(measures).to_numpy()
-            cells = [escape(_with_interval(*triple)) for triple in values]
+            cells = [escape(with_interval(*triple)) for triple in values]
             text.add_row(*([str(who), str(mode)] if not at else ["", ""]), f"{rung:g}", *cells)
     return text
 
@@ -215,9 +215,10 @@ def in_words(measure: str) -> str:
     return metrics.PER_EPISODE.get(measure) or metrics.OWN[measure].label
 
 
-def _with_interval(value: float, low: float, high: float) -> str:
+def with_interval(value: float, low: float, high: float, between: str = " ", comma: str = ",") -> str:
+    """A number, and its interval in brackets if it has one."""
     number, *ends = (style.number(round(one, 9)) if np.isfinite(one) else "–" for one in (value, low, high))
-    return f"{number} [{','.join(ends)}]" if np.isfinite(low) else number
+    return f"{number}{between}[{comma.join(ends)}]" if np.isfinite(low) else number
 
 
 def across(

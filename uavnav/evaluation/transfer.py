@@ -17,7 +17,7 @@ from rich.table import Table
 
 from uavnav import style
 from uavnav.evaluation import check_bounds, summary
-from uavnav.evaluation.across import Flyer, judged, save
+from uavnav.evaluation.across import Flyer, judged, save, with_interval
 from uavnav.files import check_out
 from uavnav.runs import Run
 from uavnav.runs.metrics import PER_EPISODE
@@ -110,9 +110,8 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
         one = found.loc[(names[row], worlds[column])]
         dark = np.array(image.to_rgba(np.array([value]))[0, :3]) @ np.array([0.3, 0.6, 0.1]) < 0.5
         look: dict[str, Any] = {"color": "white" if dark else style.INK, "size": 10}
-        axes.text(
-            column, row, _in_brackets("\n", *one[["value", "low", "high"]]), ha="center", va="center", **look
-        )
+        number = with_interval(one["value"], one["low"], one["high"], "\n", ", ")
+        axes.text(column, row, number, ha="center", va="center", **look)
         if trained.get(names[row]) == worlds[column]:
             axes.add_patch(
                 Rectangle((column - 0.47, row - 0.46), 0.94, 0.92, fill=False, color=style.OPEN, linewidth=2)
@@ -132,13 +131,6 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
     return style.Drawn(figure, f"Reward per episode: {told}.")
 
 
-def _in_brackets(between: str, value: float, low: float, high: float) -> str:
-    """A number, and its interval in brackets if it has one."""
-    return style.number(value) + (
-        f"{between}[{style.number(low)}, {style.number(high)}]" if np.isfinite(low) else ""
-    )
-
-
 def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     """The matrix as a table: a row a policy, mode and measure, a column a task."""
     text = Table(
@@ -149,7 +141,8 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
         text.add_column(column, justify="right" if column in worlds else "left")
     kept = table[table["measure"].isin(PER_EPISODE)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
-        numbers = [_in_brackets(" ", *triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
+        ends = own[["value", "low", "high"]].to_numpy()
+        numbers = [with_interval(value, low, high, comma=", ") for value, low, high in ends]
         text.add_row(str(who), trained.get(str(who), ""), str(mode), PER_EPISODE[str(measure)], *numbers)
     return text
 

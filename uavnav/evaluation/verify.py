@@ -88,11 +88,8 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
             lines.append(
                 f"  {name}: not compared, as the folder leaves them out: {', '.join(map(str, more))}"
             )
-    lines += (
-        [f"  weights: not compared, no {POLICY} there; the run's command makes it"]
-        if original is None
-        else []
-    )
+    if original is None:
+        lines.append(f"  weights: not compared, no {POLICY} there; the run's command makes it")
     return Verdict(True, lines)
 
 
@@ -110,25 +107,26 @@ def _config(run: Run) -> TrainConfig:
 
 def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     """Where two tables part first, in words; empty where they do not."""
+    shorter = "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
     there, here = (
         table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here)
     )
     rows = min(len(there), len(here))
     if not rows:  # a table without rows need not have columns
-        return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
+        return shorter
     known = [column for column in there if column in here or there[column].notna().any()]
     if not {*known} <= {*here}:
         return f"  {name}: other columns"
     there, here = there[known], here[known]  # a folder may leave out what nobody reads
     equal = (there[:rows] == here[:rows]) | (there[:rows].isna() & here[:rows].isna())
     wrong = ~equal.all(axis=1)
-    if wrong.any():
-        index = int(wrong.idxmax())
-        column = equal.columns[~equal.iloc[index].to_numpy(dtype=bool)][0]
-        was, now = there.iloc[index].to_dict(), here.iloc[index].to_dict()
-        where = f"row {index} (seed {was['seed']:.0f}, frame {was['frame']:,.0f})"
-        return f"  {name}: {where} is the first with another {column}: {was[column]} then, {now[column]} now"
-    return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
+    if not wrong.any():
+        return shorter
+    index = int(wrong.idxmax())
+    column = equal.columns[~equal.iloc[index].to_numpy(dtype=bool)][0]
+    was, now = there.iloc[index].to_dict(), here.iloc[index].to_dict()
+    where = f"row {index} (seed {was['seed']:.0f}, frame {was['frame']:,.0f})"
+    return f"  {name}: {where} is the first with another {column}: {was[column]} then, {now[column]} now"
 
 
 def _weights(folder: Path, files: Sequence[str]) -> tuple[dict[str, torch.Tensor], list[int]]:

@@ -101,6 +101,8 @@ class Study(NamedTuple):
     scripts: str | None = None
     draw: Mapping[str, Any] | None = None
     scripted: Sequence[str] = USUAL
+    given: Mapping[str, Any] = {}
+    """Settings of every run of the study, instead of those of the file."""
 
 
 def names() -> list[str]:
@@ -108,8 +110,10 @@ def names() -> list[str]:
     return sorted(path.stem for path in HERE.glob("*.yaml"))
 
 
-def read(name: str) -> Study:
-    """A study of the package by its name, or of a file that ends in .yaml; raises a ConfigError."""
+def read(name: str, seeds: int | None = None, frames: int | None = None) -> Study:
+    """A study of the package by its name, or of a file that ends in .yaml, with other numbers of seeds and
+    frames where given; raises a ConfigError.
+    """
     if not isinstance(name, str):
         raise ConfigError(f"name={told(name)}: there is no such study; {choose_from(name, names())}")
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
@@ -121,8 +125,9 @@ def read(name: str) -> Study:
         said = files.read_yaml(path)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
+    given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
     try:
-        return _study(path.stem, said)
+        return _study(path.stem, said)._replace(given=given)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -193,14 +198,11 @@ def algorithms(configuration: Mapping[str, Any]) -> list[str]:
     return named if isinstance(named, list) else [named]
 
 
-def configurations(
-    study: Study, out: Path, seeds: int | None = None, frames: int | None = None
-) -> list[Configuration]:
-    """The configurations of a study below a folder, with other numbers of seeds and frames where given.
+def configurations(study: Study, out: Path) -> list[Configuration]:
+    """The configurations of a study below a folder.
 
     Raises a ConfigError where a setting is wrong, or two configurations share a folder.
     """
-    given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
     found: list[Configuration] = []
     left = MOST_CONFIGURATIONS
     for configuration in study.configurations:
@@ -208,7 +210,7 @@ def configurations(
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             own = _of(algorithm, study.settings) | _of(algorithm, configuration)
-            several = own | {"algorithm": algorithm} | given
+            several = {**own, "algorithm": algorithm, **study.given}
             left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
             if left < 0:
                 raise ConfigError(

@@ -36,14 +36,9 @@ class Plan(NamedTuple):
 
     study: Study
     out: Path
+    said: Mapping[str, Any]
+    """The file's `draw`."""
     draws: int
-    seeds: int | None  # instead of those of the file
-    frames: int | None
-
-    @property
-    def said(self) -> Mapping[str, Any]:
-        """The file's `draw`."""
-        return self.study.draw or {}
 
     def drawn(self) -> list[dict[str, Any]]:
         """The settings of each draw; the same for the same choices, and as many more for more draws."""
@@ -98,13 +93,11 @@ class Plan(NamedTuple):
             place = {"folder": f"{self.study.name}/{folder}/{number:02}", "algorithm": algorithm}
             entries.append({**entry, **own, **place})
         study = self.study._replace(settings=usual, configurations=entries)
-        return studies.configurations(study, self.out, self.seeds, self.frames)
+        return studies.configurations(study, self.out)
 
 
-def plan(
-    study: Study, out: Path, n: int | None = None, seeds: int | None = None, frames: int | None = None
-) -> Plan | None:
-    """What a study's file says of draws, and other numbers where they are given; None where it draws nothing.
+def plan(study: Study, out: Path, n: int | None = None) -> Plan | None:
+    """What a study's file says of draws, another number of them where given; None where it draws nothing.
 
     Raises:
         ConfigError: a key or a setting is not right, or draws share seeds with what they choose.
@@ -115,8 +108,8 @@ def plan(
         _check(study, said)
     except ConfigError as error:
         raise ConfigError(f"study {study.name}: draw: {error}") from error
-    found = Plan(study, out, n or said["draws"], seeds, frames)
-    judged = [seed for one in studies.configurations(study, out, seeds, frames) for seed in one.config.seeds]
+    found = Plan(study, out, said, n or said["draws"])
+    judged = [seed for one in studies.configurations(study, out) for seed in one.config.seeds]
     if shared := {seed for one in found.screened() for seed in one.config.seeds}.intersection(judged):
         seed = f"study {study.name}: draw: seed={min(shared)}"
         raise ConfigError(f"{seed} is of draws and of what they choose; give fewer seeds")

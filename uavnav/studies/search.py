@@ -38,18 +38,13 @@ class Plan(NamedTuple):
 
     study: Study
     out: Path
+    said: Mapping[str, Any]
+    """The file's `tune`."""
     trials: int
-    seeds: int | None  # instead of those of the file
-    frames: int | None
 
     @property
     def folder(self) -> Path:
         return self.out / TUNING
-
-    @property
-    def said(self) -> Mapping[str, Any]:
-        """The file's `tune`."""
-        return self.study.tune or {}
 
     @property
     def algorithms(self) -> list[str]:
@@ -75,9 +70,8 @@ class Plan(NamedTuple):
         """A configuration with some settings of the search space."""
         own = {name: [value] * 2 if name == "hidden" else value for name, value in settings.items()}
         entry = {"algorithm": algorithm, "folder": f"{TUNING}/{folder}", **own}
-        found = studies.configurations(
-            self.study._replace(settings=usual, configurations=[entry]), self.out, self.seeds, self.frames
-        )
+        study = self.study._replace(settings=usual, configurations=[entry])
+        found = studies.configurations(study, self.out)
         if len(found) != 1:
             raise ConfigError(
                 f"{algorithm}: a trial is one configuration, not {len(found)}; give one value of each setting"
@@ -87,22 +81,20 @@ class Plan(NamedTuple):
     def trial(self, algorithm: str, number: int, settings: Mapping[str, Any]) -> Configuration:
         return self.configuration(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
 
-    def winner(self, algorithm: str, trials: pd.DataFrame) -> Configuration | None:
+    def winner(self, algorithm: str) -> Configuration | None:
         """The best trial's settings, trained as the others; None without a trial that finished.
 
         Its folder has the trial's number, so that another winner after more trials is a run of its own.
         """
-        if (found := best(trials, algorithm)) is None:
+        if (found := best(trials(self), algorithm)) is None:
             return None
         return self.configuration(
             algorithm, json.loads(found["settings"]), winner(found["trial"]), self.study.settings
         )
 
 
-def plan(
-    study: Study, out: Path, trials: int | None = None, seeds: int | None = None, frames: int | None = None
-) -> Plan | None:
-    """What a study's file says of tuning, and other numbers where given; None where it tunes nothing.
+def plan(study: Study, out: Path, trials: int | None = None) -> Plan | None:
+    """What a study's file says of tuning, another number of trials where given; None where it tunes nothing.
 
     Raises a ConfigError, also where trials share seeds with the configurations that are compared in the end.
     """
@@ -110,7 +102,7 @@ def plan(
         return None
     try:
         check_keys(said, KEYS, "tuning")
-        found = Plan(study, out, trials or said["trials"], seeds, frames)
+        found = Plan(study, out, said, trials or said["trials"])
         if found.trials * len(found.said["space"]) > studies.MOST_CONFIGURATIONS:
             raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CONFIGURATIONS:,} in all")
         studies.check_settings("settings", said["settings"])
@@ -176,12 +168,11 @@ def _in_order(low: Any, high: Any, log: Any = False) -> bool:
 
 def _check_seeds(found: Plan) -> None:
     """A winner is judged on seeds that did not choose it."""
-    said, seeds = found.study.settings, found.seeds
-    compared = studies.configurations(found.study, found.out, seeds, found.frames)
+    compared = studies.configurations(found.study, found.out)
     for algorithm in found.algorithms:
         seen = {*found.trial(algorithm, 0, {}).config.seeds}
         own = [one for one in compared if one.config.algorithm == algorithm]
-        for configuration in (found.configuration(algorithm, {}, TUNED, said), *own):
+        for configuration in (found.configuration(algorithm, {}, TUNED, found.study.settings), *own):
             if shared := seen.intersection(configuration.config.seeds):
                 raise ConfigError(
                     f"{algorithm}: seed={min(shared)} is of trials and of what they are compared in; "
@@ -196,8 +187,7 @@ def trials(found: Plan) -> pd.DataFrame:
 
 def winners(found: Plan) -> list[Configuration]:
     """The configurations that train the best trial's settings of each algorithm that has a finished one."""
-    configurations = [found.winner(name, trials(found)) for name in found.algorithms]
-    return [one for one in configurations if one is not None]
+    return [one for one in map(found.winner, found.algorithms) if one is not None]
 
 
 def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
@@ -205,8 +195,7 @@ def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
     there = trials(found).set_index(["algorithm", "trial"])["state"].to_dict()
     wanted = [(name, number) for name in found.algorithms for number in range(found.trials)]
     own = [(found.trial(*key, found.defaults(key[0])), there.get(key)) for key in wanted]
-    configurations = {name: found.winner(name, trials(found)) for name in found.algorithms}
-    usual = found.study.settings
-    return own + [
-        (one or found.configuration(name, {}, TUNED, usual), None) for name, one in configurations.items()
-    ]
+    for name in found.algorithms:
+        one = found.winner(name) or found.configuration(name, {}, TUNED, found.study.settings)
+        own.append((one, None))
+    return own

@@ -14,10 +14,9 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import pandas as pd
-from pydantic import Field
 
 from uavnav import files
 from uavnav.errors import ConfigError
@@ -32,13 +31,6 @@ JOURNAL_BYTES = 2**26
 """Of the journal, at most: a trial has some hundreds."""
 PLAN = "plan"
 """An attribute of Optuna's studies: what their trials have in common."""
-
-
-class Line(files.Facts):
-    """A line of the journal."""
-
-    op_code: Annotated[int, Field(ge=0, lt=100)]
-    worker_id: str
 
 
 Train = Callable[[Sequence[Configuration]], list[Work]]
@@ -60,11 +52,10 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
         storage = _storage(optuna, found.folder / JOURNAL)
         searches = {name: _search(optuna, storage, found, name) for name in found.algorithms}
         while True:
-            asked = {name: _ask(optuna, found, name, search) for name, search in searches.items()}
             round_ = [
                 (search, trial, found.trial(name, trial.number, trial.params))
                 for name, search in searches.items()
-                for trial in asked[name]
+                for trial in _ask(optuna, found, name, search)
             ]
             if not round_:
                 break
@@ -111,7 +102,7 @@ def _storage(optuna: Any, journal: Path) -> Any:
         if os.path.lexists(journal):
             said = files.read(journal, JOURNAL_BYTES)
             for line in said.split(b"\n")[:-1]:
-                files.facts(Line, files.parsed(line))
+                files.parsed(line)  # Optuna takes damage for a line that is still being written
             os.truncate(journal, said.rfind(b"\n") + 1)  # else the next line would be joined to it
         return optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(journal)))
     except Exception as error:  # Optuna raises any kind at a line that it has not written
@@ -126,7 +117,8 @@ def _search(optuna: Any, storage: Any, found: Plan, algorithm: str) -> Any:
         storage=storage, study_name=algorithm, direction="maximize", load_if_exists=True
     )
     space = {setting: found.range(algorithm, setting) for setting in found.said["space"][algorithm]}
-    same = {"space": space, "seeds": found.seeds, "frames": found.frames}
+    given = found.study.given
+    same = {"space": space, "seeds": given.get("n_seeds"), "frames": given.get("total_frames")}
     same = json.loads(json.dumps(same | {key: found.said[key] for key in ("settings", "at_once")}))
     if PLAN not in search.user_attrs:
         search.set_user_attr(PLAN, same)

@@ -171,7 +171,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
-            self._chance = Chance(self.task, seeds, 1)
+            self._chance = Chance(self.task, seeds, ())
             following = int(places(seeds, 1, len(self.layouts), "cpu"))
         else:
             following = (self._layout + 1) % len(self.layouts)
@@ -303,7 +303,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             whole = f"give a whole number from 0 to {n_actions - 1} for each of the {self.num_envs} rows"
             raise ValueError(f"action={told(actions)}; {whole}")
         action = torch.as_tensor(given, dtype=torch.int64).reshape(self.num_envs)
-        state, outcome = self.task.step(self._state, action, _flat(self._chance.step()))
+        state, outcome = self.task.step(self._state, action, self._chance.step())
         observation, clearance = outcome.observation, outcome.clearance
         done = outcome.terminated | outcome.truncated
         info = {}
@@ -335,13 +335,12 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
     def _seed_rows(self, seeds: Sequence[int]) -> None:
         """Choose every row's first layout: all rows share one seed, or each row has its own."""
         rows = self.num_envs // len(seeds)
-        self._chance = Chance(self.task, seeds, rows)
+        self._chance = Chance(self.task, seeds, (self.num_envs,))
         self._first = places(seeds, rows, len(self.task.layouts), "cpu").flatten()
         self._seeded, self._state = True, None
 
     def _start(self, layout: Tensor) -> State:
-        headings, draws = self._chance.start()
-        return self.task.start(layout, headings.flatten(), _flat(draws))
+        return self.task.start(layout, *self._chance.start())
 
     def _now(self) -> State:
         if self._state is None:
@@ -353,8 +352,3 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         values = {**self.task.info(state), "clearance": clearance}
         shown = {name: np.where(rows, value, torch.zeros_like(value)) for name, value in values.items()}
         return shown | {f"_{name}": np.full(self.num_envs, rows) for name in values}
-
-
-def _flat(draws: Tensor | None) -> Tensor | None:
-    """Draws [seeds, rows, n] as those of a batch [N, n]."""
-    return None if draws is None else draws.flatten(0, 1)

@@ -165,14 +165,14 @@ class BatchOfOne:
         self.task = task
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        """As `Episode.start`; draws: of the task's n_draws numbers, where it needs some."""
-        state = self.task.start(torch.tensor(layout), torch.tensor(heading), _flat(draws))
+        """As `Episode.start`; draws: the task's [n_draws], where it needs some."""
+        state = self.task.start(torch.tensor(layout), torch.tensor(heading), draws)
         observation, clearance = self.task.observe(state)
         return self._keep(state, observation, clearance)
 
     def step(self, action: int, draws: Tensor | None = None) -> tuple[Observation, float, bool, bool]:
         """As `Episode.step`; draws: as for `start`."""
-        state, outcome = self.task.step(self.state, torch.tensor(action), _flat(draws))
+        state, outcome = self.task.step(self.state, torch.tensor(action), draws)
         observation = self._keep(state, outcome.observation, outcome.clearance)
         return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
 
@@ -184,10 +184,6 @@ class BatchOfOne:
         self.layout, self.heading = int(state.layout), int(state.heading)
         self.x, self.y = float(state.x), float(state.y)
         return observation.numpy()
-
-
-def _flat(draws: Tensor | None) -> Tensor | None:
-    return None if draws is None else draws.flatten()
 
 
 def _reflected(way: float, size: float) -> float:

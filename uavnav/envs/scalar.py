@@ -139,11 +139,8 @@ class ToGoal(Episode):
     def _ahead(self) -> list[float]:
         dx, dy = _float32(self.goal_x - self.x), _float32(self.goal_y - self.y)
         square = torch.tensor(_float32(dx * dx) + _float32(dy * dy))
-        # torch's root is not that of `math`
-        self._before, self.to_goal = (
-            self.to_goal,
-            torch.sqrt(square).item(),
-        )
+        self._before = self.to_goal
+        self.to_goal = torch.sqrt(square).item()  # torch's root is not that of `math`
         scale = 1 / self.to_goal if self.to_goal else 0.0
         cosine, sine = COSINES[self.heading], SINES[self.heading]
         right, forward = (dx * sine - dy * cosine) * scale, (dx * cosine + dy * sine) * scale

@@ -73,7 +73,7 @@ class Chance:
     """
 
     def __init__(
-        self, task: WrappedTask, seeds: Sequence[int], shape: Sequence[int], device: torch.device | str = "cpu"
+        self, task: WrappedTask, seeds: Sequence[int], shape: Sequence[int], device: str | torch.device
     ) -> None:
         self._task, self._shape, self._device = task, shape, device
         self._rows = math.prod(shape) // len(seeds)
@@ -100,8 +100,8 @@ class Chance:
         return self._drawn(LATER)
 
     def steps(self, n: int) -> list[Tensor]:
-        """What n steps need, one after the other: start headings [n, *B], and where faults need some, draws of
-        starts and of steps [n, *B, n_draws].
+        """What n steps need, one after the other: start headings [n, *B], and where faults need some, draws
+        of starts and of steps [n, *B, n_draws].
         """
         if not self._task.n_draws and self._task.world.start_heading == "up":
             return [self.headings().expand(n, *self._shape)]
@@ -117,11 +117,9 @@ class Chance:
 
     def state_dict(self) -> dict[str, Any]:
         """Where each stream is, and what is drawn and not yet taken."""
-        found: dict[str, Any] = {name: streams.state_dict() for name, streams in self._streams.items()}
-        for name, one in zip(STARTS, self._starts or (), strict=False):
-            if one is not None:
-                found[name] = one
-        return found
+        starts = zip(STARTS, self._starts or (), strict=False)
+        found: dict[str, Any] = {purpose: streams.state_dict() for purpose, streams in self._streams.items()}
+        return found | {name: one for name, one in starts if one is not None}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Go on from where `state_dict` was taken, of a task alike."""

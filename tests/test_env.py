@@ -256,13 +256,6 @@ def test_a_straight_flight_ends_30_px_from_the_wall_and_earns_a_hundredth_a_pixe
     assert rows[-1]["episode", "distance"].item() == distance * steps
 
 
-def test_action_9_earns_7_57_less_than_nothing_in_28_steps():
-    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0))
-    *_, (after, _, _) = drive(env, torch.full((28, 1), STRAIGHT))
-    assert after["terminated"]
-    assert after["episode", "reward"].item() == pytest.approx(0.09 * 27 - 10, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("limit", "terminated", "truncated"), [(27, False, True), (28, True, False), (29, True, False)]
 )

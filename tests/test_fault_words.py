@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from uavnav import World
-from uavnav.tasks.faults import NO_FAULTS, RUNGS, Faults, from_words
+from uavnav.tasks.faults import NO_FAULTS, Faults, from_words
 from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.protocol import GROUPS
 from uavnav.tasks.seeding import stream
 from uavnav.tasks.table import TASKS, make_task
 from uavnav.tasks.task import Task
@@ -57,15 +58,16 @@ def test_words_of_a_command_become_faults_and_back():
             from_words(words)
 
 
-@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize("name", GROUPS["faults"])
 def test_each_rung_of_a_ladder_changes_one_fault_and_the_first_is_none(name):
     task = make_task("test", World(sensor_arc=90), stack=2)
-    climbed = [LADDERS[name].task(task, value, "test") for value in RUNGS[name]]
-    assert [getattr(one.faults, name) for one in climbed] == list(RUNGS[name])
+    rungs = LADDERS[name].rungs
+    climbed = [LADDERS[name].task(task, value, "test") for value in rungs]
+    assert [getattr(one.faults, name) for one in climbed] == list(rungs)
     assert climbed[0].faults == NO_FAULTS
     assert {(type(one.task), one.world, one.stack) for one in climbed} == {(Task, task.world, 2)}
-    both = LADDERS[name].task(LADDERS["noise"].task(task, 5, "test"), RUNGS[name][-1], "test")
-    assert both.faults == Faults(noise=5).replace(**{name: RUNGS[name][-1]})
+    both = LADDERS[name].task(LADDERS["noise"].task(task, 5, "test"), rungs[-1], "test")
+    assert both.faults == Faults(noise=5).replace(**{name: rungs[-1]})
 
 
 VELOCITIES = [(task, {"sense_velocity": True}) for task in ("moving", "space-moving")]

@@ -50,7 +50,7 @@ def test_every_world_has_layout_files_of_so_many_obstacles_and_the_paper_s_alone
     """Of the goal's the first hundred: for each set a shortest way is searched."""
     monkeypatch.setitem(layouts.SPLITS, "test", layouts.SPLITS["test"]._replace(n=n))
     # such a layout file is not kept for other tests
-    monkeypatch.setattr(layouts, "_rung", layouts._rung.__wrapped__)
+    monkeypatch.setattr(layouts, "_drawn", layouts._drawn.__wrapped__)
     made = make_task("density-4/test", task=task)
     assert made.layouts.shape == (n, *shape)
     assert made.obstacles(made.start(torch.tensor([0]), torch.tensor([90]))).shape[1] == 4

@@ -225,7 +225,7 @@ def test_a_place_depends_on_its_seed_and_index_alone():
 
 
 def test_headings_are_whole_degrees_of_a_full_turn():
-    drawn = Chance(make_task(world=World(start_heading="random")), [0], 20_000).headings()
+    drawn = Chance(make_task(world=World(start_heading="random")), [0], [20_000], "cpu").headings()
     assert drawn.min() == 0
     assert drawn.max() == 359
     assert drawn.dtype == torch.int64

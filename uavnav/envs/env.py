@@ -184,7 +184,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             )
         rows = self.batch_size.numel() // len(self.seeds)
         layout = places(self.seeds, rows, len(self.layouts), self.device)
-        self._chance = Chance(self.task, self.seeds, rows, self.device)
+        self._chance = Chance(self.task, self.seeds, self.batch_size, self.device)
         self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
         state = self._start(layout.reshape(self.batch_size))
         self._now = Now(state, self.task.observe(state)[0], begins_here=True)
@@ -208,16 +208,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _start(self, layout: Tensor) -> State:
         """Where episodes of every row begin: layout [*B]."""
-        return self.task.start(layout, *self._draw_starts())
-
-    def _draw_starts(self) -> tuple[Tensor, Tensor | None]:
-        """Headings [*B] and draws [*B, n] of starts, for every row, whoever resets."""
-        headings, first = self._chance.start()
-        return headings.reshape(self.batch_size), self._rows(first)
-
-    def _rows(self, draws: Tensor | None) -> Tensor | None:
-        """Draws [seeds, rows, n] in the batch's shape [*B, n]."""
-        return None if draws is None else draws.reshape(*self.batch_size, -1)
+        return self.task.start(layout, *self._chance.start())
 
     def state_dict(self) -> dict[str, Any]:
         """All that the future depends on: rows' states and observations, streams of headings and faults."""
@@ -251,14 +242,14 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             raise ValueError(
                 f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}"
             )
-        self._now.state, outcome = self.task.step(self._now.state, action, self._rows(self._chance.step()))
+        self._now.state, outcome = self.task.step(self._now.state, action, self._chance.step())
         self._now.observation, self._now.begins_here = outcome.observation, False
         return self._tensordict(_leaves(outcome), self._now.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the next episode's start where one ended, as TorchRL's own in one go."""
-        later, (headings, first) = self._rows(self._chance.step()), self._draw_starts()
+        later, (headings, first) = self._chance.step(), self._chance.start()
         given = (tensordict.get("action"), headings, self.layouts, *self._first)
         found = self._advance(*self._now.state, *given, *(one for one in (later, first) if one is not None))
         bare = self.task.STATE
@@ -298,9 +289,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         actor: of this environment's agents, whose batch is [agents, environments].
         """
         agents, environments = self.batch_size
-        headings, *draws = (one for one in self._chance.steps(n) if one is not None)
-        draws = [one.reshape(n, agents, environments, -1) for one in draws]
-        inputs = [*actor.draw(n, environments), headings.reshape(n, agents, environments), *draws]
+        inputs = [*actor.draw(n, environments), *self._chance.steps(n)]
         now, kind, constants = self._now, self.task.state_class, [self.layouts, *self._first, *actor.weights]
         scan = self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, len(inputs)))
         found = scan(*now.state, now.observation, *inputs, *constants)

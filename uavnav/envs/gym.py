@@ -25,6 +25,7 @@ from uavnav.envs.drawing import draw_state
 from uavnav.envs.env import MOST_ROWS
 from uavnav.envs.viewer import Viewer
 from uavnav.errors import ConfigError, among, quoted, told
+from uavnav.settings import Settings
 from uavnav.tasks.faults import NAMES, Faults
 from uavnav.tasks.seeding import Chance, places
 from uavnav.tasks.state import State, at, where
@@ -60,15 +61,18 @@ def _task(
     """The task of an environment, on the CPU, from its keywords; fields: of its world, and of its faults."""
     if fields and not isinstance(task, str):
         raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields with it")
-    own = {name: value for name, value in fields.items() if name in NAMES}
-    if own:
-        faults = {**(faults.model_dump() if isinstance(faults, Faults) else faults or {}), **own}
-        fields = {name: value for name, value in fields.items() if name not in own}
-    given = (
-        {**(world.model_dump() if isinstance(world, World) else world or {}), **fields} if fields else world
-    )
-    whole = make_task(layouts, given, reward, max_steps, task, stack, faults)
+    of_faults = {name: value for name, value in fields.items() if name in NAMES}
+    of_world = {name: value for name, value in fields.items() if name not in NAMES}
+    world, faults = _changed(world, of_world), _changed(faults, of_faults)
+    whole = make_task(layouts, world, reward, max_steps, task, stack, faults)
     return whole.replace(layouts=whole.layouts.cpu())
+
+
+def _changed(given: Any, fields: Mapping[str, Any]) -> Any:
+    """Settings, or a mapping of some, with these fields instead."""
+    if not fields:
+        return given
+    return {**(given.model_dump() if isinstance(given, Settings) else given or {}), **fields}
 
 
 def chosen_layouts(options: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any] | None:
@@ -171,7 +175,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
-            self._chance = Chance(self.task, seeds, 1)
+            self._chance = Chance(self.task, seeds, (), "cpu")
             following = int(places(seeds, 1, len(self.layouts), "cpu"))
         else:
             following = (self._layout + 1) % len(self.layouts)
@@ -303,7 +307,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             whole = f"give a whole number from 0 to {n_actions - 1} for each of the {self.num_envs} rows"
             raise ValueError(f"action={told(actions)}; {whole}")
         action = torch.as_tensor(given, dtype=torch.int64).reshape(self.num_envs)
-        state, outcome = self.task.step(self._state, action, _flat(self._chance.step()))
+        state, outcome = self.task.step(self._state, action, self._chance.step())
         observation, clearance = outcome.observation, outcome.clearance
         done = outcome.terminated | outcome.truncated
         info = {}
@@ -335,13 +339,12 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
     def _seed_rows(self, seeds: Sequence[int]) -> None:
         """Choose every row's first layout: all rows share one seed, or each row has its own."""
         rows = self.num_envs // len(seeds)
-        self._chance = Chance(self.task, seeds, rows)
+        self._chance = Chance(self.task, seeds, (self.num_envs,), "cpu")
         self._first = places(seeds, rows, len(self.task.layouts), "cpu").flatten()
         self._seeded, self._state = True, None
 
     def _start(self, layout: Tensor) -> State:
-        headings, draws = self._chance.start()
-        return self.task.start(layout, headings.flatten(), _flat(draws))
+        return self.task.start(layout, *self._chance.start())
 
     def _now(self) -> State:
         if self._state is None:
@@ -353,8 +356,3 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         values = {**self.task.info(state), "clearance": clearance}
         shown = {name: np.where(rows, value, torch.zeros_like(value)) for name, value in values.items()}
         return shown | {f"_{name}": np.full(self.num_envs, rows) for name in values}
-
-
-def _flat(draws: Tensor | None) -> Tensor | None:
-    """Draws [seeds, rows, n] as those of a batch [N, n]."""
-    return None if draws is None else draws.flatten(0, 1)

@@ -139,11 +139,8 @@ class ToGoal(Episode):
     def _ahead(self) -> list[float]:
         dx, dy = _float32(self.goal_x - self.x), _float32(self.goal_y - self.y)
         square = torch.tensor(_float32(dx * dx) + _float32(dy * dy))
-        # torch's root is not that of `math`
-        self._before, self.to_goal = (
-            self.to_goal,
-            torch.sqrt(square).item(),
-        )
+        self._before = self.to_goal
+        self.to_goal = torch.sqrt(square).item()  # torch's root is not that of `math`
         scale = 1 / self.to_goal if self.to_goal else 0.0
         cosine, sine = COSINES[self.heading], SINES[self.heading]
         right, forward = (dx * sine - dy * cosine) * scale, (dx * cosine + dy * sine) * scale
@@ -165,14 +162,14 @@ class BatchOfOne:
         self.task = task
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        """As `Episode.start`; draws: of the task's n_draws numbers, where it needs some."""
-        state = self.task.start(torch.tensor(layout), torch.tensor(heading), _flat(draws))
+        """As `Episode.start`; draws: the task's [n_draws], where it needs some."""
+        state = self.task.start(torch.tensor(layout), torch.tensor(heading), draws)
         observation, clearance = self.task.observe(state)
         return self._keep(state, observation, clearance)
 
     def step(self, action: int, draws: Tensor | None = None) -> tuple[Observation, float, bool, bool]:
         """As `Episode.step`; draws: as for `start`."""
-        state, outcome = self.task.step(self.state, torch.tensor(action), _flat(draws))
+        state, outcome = self.task.step(self.state, torch.tensor(action), draws)
         observation = self._keep(state, outcome.observation, outcome.clearance)
         return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
 
@@ -184,10 +181,6 @@ class BatchOfOne:
         self.layout, self.heading = int(state.layout), int(state.heading)
         self.x, self.y = float(state.x), float(state.y)
         return observation.numpy()
-
-
-def _flat(draws: Tensor | None) -> Tensor | None:
-    return None if draws is None else draws.flatten()
 
 
 def _reflected(way: float, size: float) -> float:

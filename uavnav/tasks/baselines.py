@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks.classics import apf, dwa, orca, vfh
-from uavnav.tasks.goal import SCALE, GoalWorld
+from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import SCRIPTS
-from uavnav.tasks.sensed import MARGIN, ahead, seen
+from uavnav.tasks.sensed import MARGIN, ahead, seen, target
 from uavnav.tasks.space import SpaceWorld, decode
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
@@ -21,8 +21,7 @@ AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
 """observation [N, 30] (or what else the task senses), generator -> action [N] int64 in 0..99."""
 
 WORLD = World()
-FULL_SPEED = WORLD.n_distances - 1  # straight ahead, 9 px
-LEFT_IN_PLACE = WORLD.n_turns // 2 * WORLD.n_distances  # 5 degrees, 0 px
+FULL_SPEED = WORLD.n_distances - 1  # [px], and the action that flies them straight ahead
 GOAL = GoalWorld()
 WITH_GOAL = GOAL.observation_size
 
@@ -36,7 +35,7 @@ def straight_ahead(
     observation: Tensor, generator: torch.Generator | None = None, world: World | None = None
 ) -> Tensor:
     """Nine pixels a step and never a turn, whatever is in the way; world: a box has other actions."""
-    return torch.full(observation.shape[:-1], _straight_or_left(world)[0])
+    return torch.full(observation.shape[:-1], straight_on(world or WORLD))
 
 
 def reactive(
@@ -57,17 +56,19 @@ def reactive(
     closest = distance - FULL_SPEED * towards[..., -1]
     if world.padding == "zeros":  # else an empty slot is as far as the sensor reaches
         closest = torch.where(empty, torch.inf, closest)
-    return torch.where(closest.amin(-1) > world.drone_radius + MARGIN, *_straight_or_left(world))
+    left_on_the_spot = world.n_turns // 2 * (world.n_actions // world.n_turns)  # as far as one action turns
+    safe = closest.amin(-1) > world.drone_radius + MARGIN
+    return torch.where(safe, straight_on(world), left_on_the_spot)
+
+
+def straight_on(world: World) -> int:
+    """The action straight ahead at full speed."""
+    return world.n_distances - 1
 
 
 def _of_size(observation: Tensor) -> World:
     """The world without a goal whose observations have so many numbers, by default."""
     return WORLD if observation.shape[-1] % WORLD.observation_size == 0 else MovingWorld(sense_velocity=True)
-
-
-def _straight_or_left(world: World | None) -> tuple[int, int]:
-    """The actions straight ahead at full speed, and to the left on the spot."""
-    return (AHEAD, LEFT_IN_THE_BOX) if isinstance(world, SpaceWorld) else (FULL_SPEED, LEFT_IN_PLACE)
 
 
 BEARINGS = torch.arange(-90, 91, 5)  # [degrees] to the right of the heading
@@ -86,15 +87,14 @@ def towards_goal(
     world: as of `reactive`.
     """
     world = world or GOAL
-    towards, distance, empty, _ = seen(observation, world)
-    right, forward, away = observation[..., world.observation_size - 3 : world.observation_size].unbind(-1)
+    (towards, distance, empty, _), (goal, away) = seen(observation, world), target(observation, world)
     angles = torch.deg2rad(BEARINGS)
     along = towards @ torch.stack([angles.sin(), angles.cos()])  # [..., slots, bearings]
-    reach = (away * SCALE).clamp(max=LOOK)[..., None, None]
+    reach = away.clamp(max=LOOK)[..., None, None]
     flown = (distance[..., None] * along).clamp(min=0).minimum(reach)  # where it is nearest
     nearest = (distance[..., None] ** 2 - 2 * flown * distance[..., None] * along + flown**2).sqrt()
     free = ((nearest > world.drone_radius + ROOM) | (along <= 0) | empty[..., None]).all(-2)
-    bearing = torch.rad2deg(torch.atan2(right, forward))
+    bearing = torch.rad2deg(torch.atan2(goal[..., 0], goal[..., 1]))
     apart = torch.where(free, (BEARINGS - bearing[..., None]).abs(), torch.inf)
     wanted = torch.where(free.any(-1), BEARINGS[apart.argmin(-1)], -90)
     angle = (-wanted).clamp(WORLD.n_turns // 2 + 1 - WORLD.n_turns, WORLD.n_turns // 2)
@@ -166,8 +166,6 @@ def _clearances(observation: Tensor, world: World, places: Tensor, body: float) 
 # -- in a box ------------------------------------------------------------------------------------------------
 
 BOX = SpaceWorld()
-AHEAD = BOX.n_distances - 1  # straight ahead, 9 px
-LEFT_IN_THE_BOX = BOX.n_turns // 2 * BOX.n_turns * BOX.n_distances  # 4 degrees, 0 px
 LOOKED_AHEAD = 10  # steps of a way
 TURNED = (1, 11)  # steps of a way that turn, before it goes straight on at full speed
 SPHERE = 80.0  # [px] radius that a sensed body is taken to have
@@ -186,6 +184,7 @@ def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
 
 
 BOX_FIRST, BOX_PLACES, BOX_WORTH = _ways_in_the_box()
+AHEAD = straight_on(BOX)
 BOX_STRAIGHT = int((BOX_FIRST == AHEAD).nonzero())
 EASY = 15.0  # [px] of clearance straight ahead with which it does not turn, for a turn costs
 

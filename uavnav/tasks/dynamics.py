@@ -23,12 +23,9 @@ def direction(heading: Tensor) -> tuple[Tensor, Tensor]:
 
     heading [...] whole degrees in 0..359 -> cos, sin [...] float32.
     """
-    cosine, sine = torch.stack([COSINE.to(heading.device)[heading], SINE.to(heading.device)[heading]])
     # stacked, they are looked up once a row in a compiled step, and not for each candidate again
-    return (
-        cosine,
-        sine,
-    )
+    cosine, sine = torch.stack([COSINE.to(heading.device)[heading], SINE.to(heading.device)[heading]])
+    return cosine, sine
 
 
 def decode(action: Tensor, world: World) -> tuple[Tensor, Tensor]:

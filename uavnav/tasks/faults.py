@@ -71,14 +71,6 @@ NO_FAULTS = Faults()
 
 NAMES = Faults.names()
 
-RUNGS: dict[str, tuple[float, ...]] = {
-    "noise": (0, 2, 5, 10, 20),
-    "lost": (0, 0.05, 0.1, 0.2, 0.4),
-    "late": (0, 1, 2, 4, 8),
-    "sticky": (0, 0.1, 0.25, 0.5),
-}
-"""The ladders of evaluation: the values of each fault that a policy is flown with, in the fault's unit."""
-
 
 def from_words(words: str) -> Faults:
     """Faults from `noise=5,late=2`, or from `none`.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uavnav.tasks import faults, layouts, slalom
+from uavnav.tasks import layouts, slalom
 from uavnav.tasks.moving import Moving
 from uavnav.tasks.space import Space, SpaceMoving
 from uavnav.tasks.state import State
@@ -46,14 +46,13 @@ def sets_of(ladder: str, rung: float, split: str = "test") -> str:
     return f"{ladder}-{rung:g}/{split}"
 
 
-def density(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's task with so many obstacles a layout."""
-    return task.on(sets_of("density", rung, split), task.max_steps)
+def sets(ladder: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
+    """The policy's task on a rung's layouts: so many obstacles each, or columns with a gap of so many px."""
 
+    def at(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
+        return task.on(sets_of(ladder, rung, split), task.max_steps)
 
-def gaps(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-    """The policy's task with four columns of circles, each with a gap of so many px."""
-    return task.on(sets_of("slalom", rung, split), task.max_steps)
+    return at
 
 
 def arc(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
@@ -94,8 +93,12 @@ def fault(name: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
 
 
 LADDERS = {
-    "density": Ladder("obstacles a layout", tuple(range(0, 21, 2)), density, of=("drone", "moving", "goal")),
-    "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages, ("drone",)),
+    "density": Ladder(
+        "obstacles a layout", tuple(range(0, 21, 2)), sets("density"), of=("drone", "moving", "goal")
+    ),
+    "slalom": Ladder(
+        "gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), sets("slalom"), slalom.passages, ("drone",)
+    ),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),
     "speed": Ladder(
@@ -105,10 +108,10 @@ LADDERS = {
         of=("drone", "moving", "space", "space-moving"),
         any_task=False,
     ),
-    "noise": Ladder("noise σ of the sensed distance [px]", faults.RUNGS["noise"], fault("noise")),
-    "lost": Ladder("probability of an echo to be lost", faults.RUNGS["lost"], fault("lost")),
-    "late": Ladder("delay of observations [steps]", faults.RUNGS["late"], fault("late")),
-    "sticky": Ladder("probability of an action to be repeated", faults.RUNGS["sticky"], fault("sticky")),
+    "noise": Ladder("noise σ of the sensed distance [px]", (0, 2, 5, 10, 20), fault("noise")),
+    "lost": Ladder("probability of an echo to be lost", (0, 0.05, 0.1, 0.2, 0.4), fault("lost")),
+    "late": Ladder("delay of observations [steps]", (0, 1, 2, 4, 8), fault("late")),
+    "sticky": Ladder("probability of an action to be repeated", (0, 0.1, 0.25, 0.5), fault("sticky")),
 }
 """By name, in the order of a report."""
 

@@ -132,19 +132,20 @@ def save(layouts: Tensor, path: str | Path, *, seed: int, split: str, world: Wor
 
 def _header(layouts: Tensor, seed: int, split: str, world: World) -> dict[str, str]:
     """What the header of a layout file says."""
+    name = kind_of(world)
+    kind = KINDS[name]
     header = {
         "world_version": VERSION,
         "generator_seed": str(seed),
         "n": str(layouts.shape[0]),
-        "k": str(layouts.shape[1] - KINDS[kind_of(world)].beside),
+        "k": str(layouts.shape[1] - kind.beside),
         "split": split,
         "sha256": checksum(layouts),
     }
-    name = kind_of(world)
     own = {"task": name} if name != "drone" else {}
-    usual = KINDS[name].world().model_dump()
+    usual = kind.world().model_dump()
     shape = [field for field in SHAPES if field in usual and getattr(world, field) != usual[field]]
-    return header | own | {field: json.dumps(getattr(world, field)) for field in (*KINDS[name].reads, *shape)}
+    return header | own | {field: json.dumps(getattr(world, field)) for field in (*kind.reads, *shape)}
 
 
 def load(layouts: str | Path, world: World | None = None) -> Tensor:
@@ -188,10 +189,9 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     name = kind_of(world)
     if not isinstance(layouts, (str, Path)):
         raise LayoutError(f"layouts={told(layouts)}; give {', '.join(SPLITS)} or a file's path")
-    if layouts in SPLITS and not _ships(world):
-        return _of_ones_own(_drawn(str(layouts), world))
-    if is_rung(layouts):
-        return _of_ones_own(_rung(str(layouts), World() if name == "drone" else world))
+    if is_rung(layouts) or (layouts in SPLITS and not _ships(world)):
+        all_layouts, header = _drawn(str(layouts), World() if name == "drone" else world)
+        return all_layouts.clone(), dict(header)
     file = str(layouts) if name == "drone" else f"{name}-{layouts}"
     path = Path(__file__).parent / "splits" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
@@ -221,48 +221,36 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     return all_layouts, header
 
 
-def _of_ones_own(found: tuple[Tensor, dict[str, str]]) -> tuple[Tensor, dict[str, str]]:
-    """A copy of a layout file that is kept."""
-    return found[0].clone(), dict(found[1])
-
-
-@functools.lru_cache(maxsize=8)
-def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
-    """A split of a world whose layouts are no files of the package, and its header."""
-    kind = KINDS[kind_of(world)]
-    if isinstance(world, goal.GoalWorld) and SPLITS[split].n > SILENT_SETS:
-        told = (
-            f"{SPLITS[split].n:,} layouts with goals are drawn for this world, "
-            f"{SPLITS[split].n / 100:.0f} s of a core"
-        )
-        warnings.warn(f"layouts={split}: {told}", stacklevel=2)
-    layouts = kind.generate(SPLITS[split].n, kind.k, SPLITS[split].seed, world)
-    return layouts, _header(layouts, SPLITS[split].seed, split, world)
-
-
 # whoever flies a ladder finds its 11 layouts, which cost 110 s where layouts have goals
-@functools.lru_cache(maxsize=16)
-def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
-    """A split of a rung, such as `density-12/test`, and its header."""
+@functools.lru_cache(maxsize=24)
+def _drawn(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
+    """A split that is no file of the package, or a rung's such as `density-12/test`; and its header."""
+    split, k = (layouts, KINDS[kind_of(world)].k) if layouts in SPLITS else _rung(layouts, world)
+    n, seed = SPLITS[split]
+    if split == layouts and isinstance(world, goal.GoalWorld) and n > SILENT_SETS:
+        told = f"{n:,} layouts with goals are drawn for this world, {n / 100:.0f} s of a core"
+        warnings.warn(f"layouts={split}: {told}", stacklevel=2)
+    all_layouts = _generate(layouts, n, k, seed, world)
+    return all_layouts, _header(all_layouts, seed, layouts, world)
+
+
+def _rung(layouts: str, world: World) -> tuple[str, int]:
+    """The split and the difficulty that a rung's name says, such as `density-12/test`."""
     ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
     if len(rung) > len(str(MOST_WHOLE)):  # whatever it says is too much
         raise LayoutError(f"layouts={told(layouts)}: no such layout file; give fewer digits")
     if split not in SPLITS or not rung.isdecimal():
-        near, example = (
-            did_you_mean(split, SPLITS),
-            rung if rung.isdecimal() else {"density": 12}.get(ladder, 100),
-        )
+        near = did_you_mean(split, SPLITS)
+        example = rung if rung.isdecimal() else {"density": 12}.get(ladder, 100)
         raise LayoutError(
             f"layouts={layouts!r}: no such layout file; give a rung and a split, such as "
             f"{ladder}-{example}/test{near}"
         )
-    name, (n, seed) = kind_of(world), SPLITS[split]
-    if ladder == "slalom" and name != "drone":
+    if ladder == "slalom" and (name := kind_of(world)) != "drone":
         raise LayoutError(
             f"layouts={layouts!r}: a slalom is of task=drone, not of task={name}; give density-8/{split}"
         )
-    all_layouts = _generate(layouts, n, int(rung), seed, world)
-    return all_layouts, _header(all_layouts, seed, layouts, world)
+    return split, int(rung)
 
 
 def _generate(split: str, n: int, k: int, seed: int, world: World) -> Tensor:
@@ -296,7 +284,8 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
         LayoutError: it is not, or as `load` does.
     """
     named = not isinstance(layouts, (str, Path)) or layouts in SPLITS
-    world = World() if named else _world_of(layouts)
+    is_file = not named and os.path.isfile(layouts)
+    world = _drawn_by(_open(Path(layouts))[1], layouts) if is_file else World()
     all_layouts, header = read(layouts, world)
     if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
         return all_layouts, header
@@ -309,15 +298,8 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     return all_layouts, header
 
 
-def _world_of(path: str | Path) -> World:
-    """The world that a file's header names, with the fields that its layouts were drawn by."""
-    if not os.path.isfile(path):
-        return World()
-    return _drawn_by(_open(Path(path))[1], path)
-
-
 def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
-    """The world that a header names."""
+    """The world that a header names, with the fields that its layouts were drawn by."""
     kind = KINDS.get(header.get("task", "drone"), KINDS["drone"])
     try:
         own: dict[str, Any] = {name: float(header[name]) for name in kind.reads}

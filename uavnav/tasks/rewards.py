@@ -32,9 +32,8 @@ class Step(NamedTuple):
     clearance: Tensor  # [*B] px from the drone's centre to the nearest obstacle
     observation: Tensor  # [*B, observation_size] that the step led to
     world: World  # with the reward's amounts
-    to_goal: tuple[Tensor, Tensor] | None = (
-        None  # [*B] px from the drone to its goal, before and after; None without
-    )
+    # [*B] px from the drone to its goal, before and after; None without
+    to_goal: tuple[Tensor, Tensor] | None = None
 
     @property
     def collided(self) -> Tensor:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -61,78 +62,68 @@ def places(seeds: Sequence[int], rows: int, n_layouts: int, device: torch.device
 
 FIRST, LATER = "first_faults", "faults"
 """The streams of what is sensed at the beginning of episodes, and of steps."""
+STARTS = "start headings", "start draws"
+"""What is drawn of starts and not yet taken, as a snapshot names it."""
 
 
 class Chance:
-    """The streams of each seed, for so many rows per seed. A step draws for every row what an episode would
-    begin with, whether one ended or not: what a row gets does not depend on others, if none is reset twice
-    between two steps.
+    """The streams of each seed, for a batch of shape B that the seeds share in equal parts. A step draws for
+    every row what an episode would begin with, whether one ended or not: what a row gets does not depend on
+    others, if none is reset twice between two steps.
     """
 
     def __init__(
-        self, task: WrappedTask, seeds: Sequence[int], rows: int, device: torch.device | str = "cpu"
+        self, task: WrappedTask, seeds: Sequence[int], shape: Sequence[int], device: str | torch.device
     ) -> None:
-        self._task, self._rows, self._device = task, rows, device
-        self._seeds = len(seeds)
+        self._task, self._shape, self._device = task, shape, device
+        self._rows = math.prod(shape) // len(seeds)
         purposes = ["headings", *((FIRST, LATER) if task.n_draws else ())]
         self._streams = {purpose: Streams(seeds, purpose) for purpose in purposes}
         self._starts: tuple[Tensor, Tensor | None] | None = None  # drawn with the last step
 
     def headings(self) -> Tensor:
-        """Start headings [seeds, rows] whole degrees."""
+        """Start headings [*B] whole degrees."""
         if self._task.world.start_heading == "up":
-            return torch.full((self._seeds, self._rows), UP, device=self._device)
-        return self._streams["headings"].draw(torch.randint, 360, (self._rows,), device=self._device)
+            return torch.full(self._shape, UP, device=self._device)
+        drawn = self._streams["headings"].draw(torch.randint, 360, (self._rows,), device=self._device)
+        return drawn.reshape(self._shape)
 
     def start(self) -> tuple[Tensor, Tensor | None]:
-        """What a start needs: headings [seeds, rows], draws [seeds, rows, n_draws] or None."""
+        """What a start needs: headings [*B], draws [*B, n_draws] or None."""
         found, self._starts = self._starts, None
         return found or (self.headings(), self._drawn(FIRST))
 
     def step(self) -> Tensor | None:
-        """What a step needs [seeds, rows, n_draws]; None where it needs nothing."""
+        """What a step needs [*B, n_draws]; None where it needs nothing."""
         if self._task.n_draws or self._task.world.start_heading != "up":
             self._starts = self.headings(), self._drawn(FIRST)
         return self._drawn(LATER)
 
-    def steps(self, n: int) -> tuple[Tensor, Tensor | None, Tensor | None]:
-        """What n steps need, one after the other: start headings [n, seeds, rows], then draws of starts and
-        of steps [n, seeds, rows, n_draws]; None where they need none.
+    def steps(self, n: int) -> list[Tensor]:
+        """What n steps need, one after the other: start headings [n, *B], and where faults need some, draws
+        of starts and of steps [n, *B, n_draws].
         """
         if not self._task.n_draws and self._task.world.start_heading == "up":
-            return self.headings().expand(n, -1, -1), None, None
+            return [self.headings().expand(n, *self._shape)]
         later, starts = zip(*[(self.step(), self.start()) for _ in range(n)], strict=True)
-        headings, first = zip(*starts, strict=True)
-        return torch.stack(headings), _stacked(first), _stacked(later)
+        drawn = [*zip(*starts, strict=True), later]
+        return [torch.stack(one) for one in drawn if one[0] is not None]
 
     def _drawn(self, purpose: str) -> Tensor | None:
         if purpose not in self._streams:
             return None
-        return self._streams[purpose].draw(self._task.draw, self._rows, device=self._device)
+        drawn = self._streams[purpose].draw(self._task.draw, self._rows, device=self._device)
+        return drawn.reshape(*self._shape, -1)
 
     def state_dict(self) -> dict[str, Any]:
         """Where each stream is, and what is drawn and not yet taken."""
-        headings, first = self._starts or (None, None)
-        starts = {
-            name: one
-            for name, one in (("start headings", headings), ("start draws", first))
-            if one is not None
-        }
-        return {purpose: streams.state_dict() for purpose, streams in self._streams.items()} | starts
+        starts = zip(STARTS, self._starts or (), strict=False)
+        found: dict[str, Any] = {purpose: streams.state_dict() for purpose, streams in self._streams.items()}
+        return found | {name: one for name, one in starts if one is not None}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Go on from where `state_dict` was taken, of a task alike."""
         for purpose, streams in self._streams.items():
             streams.load_state_dict(state_dict[purpose])
-        headings = state_dict.get("start headings")
-        draws = state_dict.get("start draws")
-        if headings is None:
-            self._starts = None
-        else:
-            self._starts = headings.to(self._device), None if draws is None else draws.to(self._device)
-
-
-def _stacked(draws: Sequence[Tensor | None]) -> Tensor | None:
-    """The draws of some steps as one; None where they need none."""
-    some = [one for one in draws if one is not None]
-    return torch.stack(some) if some else None
+        starts = {name: state_dict[name].to(self._device) for name in STARTS if name in state_dict}
+        self._starts = (starts["start headings"], starts.get("start draws")) if starts else None

@@ -58,13 +58,11 @@ def header(task: WrappedTask) -> dict[str, Any]:
     Raises:
         ValueError: its class has no name in `TASKS`.
     """
-    own = {
+    return {
         "task": name_of(task),
         "world": task.world.model_dump(),
         "reward": task.reward,
         "max_steps": task.max_steps,
-    }
-    return own | {
         "stack": task.stack,
         "faults": task.faults.model_dump(),
         "layouts": splits.checksum(task.layouts),

@@ -28,9 +28,8 @@ from uavnav.tasks.world import World
 class Outcome(NamedTuple):
     """What a step led to."""
 
-    observation: (
-        Tensor  # [*B, observation_size] float32 that a policy sees, at the collision where there was one
-    )
+    # [*B, observation_size] float32 that a policy sees, at the collision where there was one
+    observation: Tensor
     clearance: Tensor  # [*B] px
     reward: Tensor  # [*B] float64
     terminated: Tensor  # [*B] bool: a collision, or at a goal

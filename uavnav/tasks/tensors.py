@@ -27,13 +27,7 @@ def parsed(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The same of what a file contains; raises a ValueError where it is no safetensors."""
     try:
         found = load(content)
-    except (
-        SafetensorError,
-        AssertionError,
-        KeyError,
-        TypeError,
-        RuntimeError,
-    ) as error:
+    except (SafetensorError, AssertionError, KeyError, TypeError, RuntimeError) as error:
         # all but the first of torch
         raise ValueError(str(error) or type(error).__name__) from error
     size = int.from_bytes(content[:8], "little")

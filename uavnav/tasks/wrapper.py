@@ -49,9 +49,8 @@ class WrappedTask:
     task: Task
     faults: Faults = NO_FAULTS
     stack: int = 1  # newest observations that a policy sees at once, the newest first
-    trained_reach: float | None = (
-        None  # [px] where a proximity is 1, of a policy trained with another sensor's radius
-    )
+    # [px] where a proximity is 1, of a policy trained with another sensor's radius
+    trained_reach: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.stack, int) or not 1 <= self.stack <= MOST_REMEMBERED:

@@ -19,14 +19,15 @@ import torch
 
 from uavnav.acting import Actor
 from uavnav.algorithms.ppo import (
+    LEARNED,
     PPOLoss,
     clip_bound,
     diagnostics,
     estimate,
     make_advantage,
     make_networks,
-    minibatches,
 )
+from uavnav.algorithms.rollout import minibatches
 from uavnav.runs import Run
 from uavnav.tasks.seeding import Streams
 from uavnav.training.display import Tell
@@ -61,7 +62,8 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
         for _, batch in session.batches():
             estimate(batch, policy, value, advantage)
             epochs = [
-                learner.learn(minibatches(batch, orders, config.minibatch_size)) for _ in range(config.epochs)
+                learner.learn(minibatches(batch, orders, config.minibatch_size, LEARNED))
+                for _ in range(config.epochs)
             ]
             losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
             session.log({**losses, **diagnostics(batch, policy, clip_bound(config))})

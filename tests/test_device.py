@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 
 from uavnav.acting import Actor
-from uavnav.algorithms import a2c, dqn, ppo, sac
+from uavnav.algorithms import a2c, dqn, ppo, rollout, sac
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.table import make_task
@@ -102,7 +102,7 @@ def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
     batch = collected(env, Actor(policy, config.seeds, ppo.HOW.acts, ppo.HOW.head, compile=False), 8)
     assert batch.shape == (2, config.n_envs, 8)
     ppo.estimate(batch, policy, value, ppo.make_advantage(config.gamma, config.gae_lambda))
-    minibatches = ppo.minibatches(batch, Streams(config.seeds, "minibatches"), 64)
+    minibatches = rollout.minibatches(batch, Streams(config.seeds, "minibatches"), 64, ppo.LEARNED)
     losses = ppo.make_learner(loss, config, compile=False).learn(minibatches)
     moved = ppo.diagnostics(batch, policy, config.clip_epsilon)
     found = [*batch.values(include_nested=True, leaves_only=True), *losses.values(), *moved.values()]

@@ -14,7 +14,8 @@ from torchrl.objectives import ClipPPOLoss, PPOLoss
 
 import uavnav
 from uavnav.algorithms import ppo as algorithm
-from uavnav.algorithms.ppo import PPOConfig, estimate, make_advantage, make_networks, minibatches, train
+from uavnav.algorithms.ppo import PPOConfig, estimate, make_advantage, make_networks, train
+from uavnav.algorithms.rollout import minibatches
 from uavnav.tasks.seeding import Streams
 from uavnav.training.recorder import Interrupted
 
@@ -142,7 +143,7 @@ def test_the_rows_of_an_epoch_keep_agent_world_and_time_together_and_come_once_e
     batch = TensorDict({"action": code.clone(), "action_log_prob": code.clone()}, [2, 3, 4])
     batch["observation"] = code[..., None].repeat(1, 1, 1, 30)
     batch["advantage"], batch["value_target"] = code[..., None].clone(), code[..., None].clone()
-    got = minibatches(batch, Streams([0, 1], "minibatches"), 6)
+    got = minibatches(batch, Streams([0, 1], "minibatches"), 6, algorithm.LEARNED)
     assert got.batch_size == (2, 2, 6)
     for value in got.values():
         assert (value.reshape(2, 2, 6, -1) == got["action"][..., None]).all()

@@ -12,7 +12,7 @@ Letters: A agents, W environments an agent, T steps of a rollout.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import torch
@@ -24,9 +24,10 @@ from torchrl.objectives.value import GAE
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.rollout import RolloutConfig, learn_in_epochs
 from uavnav.errors import ConfigError
 from uavnav.networks import Init
-from uavnav.settings import AtLeast0, Count, Share, Whole, key
+from uavnav.settings import AtLeast0, Share, Whole, key
 from uavnav.tasks.seeding import Streams
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig
@@ -38,34 +39,6 @@ __all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
 HOW = ALGORITHMS["ppo"]
 LEARNED = ("observation", "action", "action_log_prob", "advantage", "value_target")
 """What `PPOLoss` is given of a step."""
-
-
-class RolloutConfig(TrainConfig):
-    """What learning from minibatches of rollouts needs, whatever its loss."""
-
-    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames per seed")
-    minibatch_size: Count = key(64, "in a gradient step", "frames")
-    epochs: Whole = key(10, "passes over an iteration's frames", ge=1, le=1_000)
-
-    def check(self) -> None:
-        super().check()
-        if self.frames_per_batch % self.minibatch_size:
-            raise ConfigError(
-                f"minibatch_size={self.minibatch_size}; give a divisor of "
-                f"frames_per_batch={self.frames_per_batch}"
-            )
-
-    @property
-    def frames_between_rows(self) -> int:
-        return self.frames_per_batch
-
-    @property
-    def frames_per_iteration(self) -> int:
-        return self.frames_per_batch
-
-    @property
-    def updates(self) -> int:
-        return self.frames // self.minibatch_size * self.epochs
 
 
 class PPOConfig(RolloutConfig):
@@ -190,33 +163,6 @@ def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advanta
     advantage(batch)
 
 
-def minibatches(
-    batch: TensorDictBase, orders: Streams, size: int, keys: Sequence[str] = LEARNED
-) -> TensorDictBase:
-    """An epoch's minibatches [A, M, size]: the rows of a rollout [A, W, T], each agent's in an order of
-    its own; keys: of what a loss is given.
-    """
-    rows = batch.select(*keys).flatten(1, 2)
-    n_agents, n = rows.shape
-    order = orders.draw(torch.randperm, n, device=rows["action"].device)
-    first = n * torch.arange(n_agents, device=order.device)[:, None]
-    return rows.flatten(0, 1)[(first + order).flatten()].reshape(n_agents, -1, size)
-
-
-def learn_in_epochs(
-    batch: TensorDictBase,
-    learner: Learner,
-    orders: Streams,
-    config: RolloutConfig,
-    keys: Sequence[str] = LEARNED,
-) -> dict[str, Tensor]:
-    """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses, [A]."""
-    epochs = [
-        learner.learn(minibatches(batch, orders, config.minibatch_size, keys)) for _ in range(config.epochs)
-    ]
-    return {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
-
-
 @torch.no_grad()
 def diagnostics(batch: TensorDictBase, policy: nn.Module, clip: float) -> dict[str, Tensor]:
     """How far the policy moved in an iteration, and how good the values were before it; each [A]."""
@@ -253,7 +199,7 @@ class PPO:
         config = self.config
         estimate(batch, self.policy, self.value, self.advantage)
         return {
-            **learn_in_epochs(batch, self.learner, self.orders, config),
+            **learn_in_epochs(batch, self.learner, self.orders, config, LEARNED),
             **diagnostics(batch, self.policy, clip_bound(config)),
         }
 

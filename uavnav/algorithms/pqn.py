@@ -21,7 +21,8 @@ from torch import Tensor, nn
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.dqn import ExploringConfig
-from uavnav.algorithms.ppo import RolloutConfig, learn_in_epochs, make_advantage
+from uavnav.algorithms.ppo import make_advantage
+from uavnav.algorithms.rollout import RolloutConfig, learn_in_epochs
 from uavnav.settings import AtLeast0, Share, Whole, key
 from uavnav.tasks.seeding import Streams
 from uavnav.training.checkpoints import Stateful

@@ -52,7 +52,7 @@ _NAMES = {
     "World": "tasks.world",
 }
 _ROOMS = {
-    "algorithms": ("replay",),
+    "algorithms": ("replay", "rollout"),
     "envs": ("env", "gym", "sb3", "scalar"),
     "evaluation": ("episodes", "verify"),
     "report": ("compare",),

@@ -209,13 +209,14 @@ def test_a_reward_without_bounds_needs_a_support_and_a_support_has_an_order(monk
         ({"v_min": 9.5}, "v_min=9.5, v_max=9; give a v_min below v_max"),
         (
             {"v_max": 1e300},
-            r"v_min=-10, v_max=1e\+300; give a v_min below v_max, both finite in single precision",
+            r"v_min=-10, v_max=1e\+300; give a v_min below v_max, both finite and with room for 51",
         ),
         (
             {"v_min": -3e38, "v_max": 3e38},
             r"v_min=-3e\+38, v_max=3e\+38; give a v_min below v_max, both finite",
         ),
         ({"v_min": 8.99999999}, "v_min=9, v_max=9; give a v_min below v_max"),
+        ({"v_min": 1e8, "v_max": 1e8 + 8}, r"v_min=1e\+08, v_max=1e\+08; .* room for 51 atoms"),
         ({"n_atoms": 1}, "n_atoms=1; give a number of at least 2"),
     ):
         with pytest.raises(ConfigError, match=line):

@@ -117,9 +117,14 @@ def test_a_return_of_eq14_lies_between_minus_10_and_9_at_a_discount_of_99_percen
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.floats(0, 0.999), st.lists(st.integers(0, 99), min_size=1, max_size=60), st.integers(0, 199))
-def test_no_episode_to_a_goal_returns_more_or_less_than_its_bounds(gamma, actions, layout):
-    task = make_task("test", task="goal")
+@given(
+    st.floats(0, 0.999),
+    st.lists(st.integers(0, 99), min_size=1, max_size=60),
+    st.integers(0, 199),
+    st.sampled_from([0.01, -0.01]),  # an award or a fine for each pixel nearer
+)
+def test_no_episode_to_a_goal_returns_more_or_less_than_its_bounds(gamma, actions, layout, px):
+    task = make_task("test", {"reward_per_pixel": px}, task="goal")
     least, most = bounds_of_returns("goal", task.world, gamma)
     state, earned = task.start(torch.tensor(layout), torch.tensor(90)), 0.0
     for n, action in enumerate(actions):

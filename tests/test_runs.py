@@ -12,7 +12,7 @@ from runs_by_hand import same
 
 from uavnav import files
 from uavnav.algorithms import a2c, dqn, ppo
-from uavnav.runs import FILES, POLICY, Run
+from uavnav.runs import FILES, POLICY, STOP, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
@@ -211,7 +211,9 @@ def test_overwrite_starts_anew(trained, tmp_path):
     train(other, out=tmp_path / "run", quiet=True)
     for name in ("evaluation-test-5-20", "arena", "values", "across-density"):
         (tmp_path / "run" / f"{name}.parquet").touch()
+    (tmp_path / "run" / STOP).touch()  # that the finished run never saw
     again = train(config, out=tmp_path / "run", overwrite=True, quiet=True)
+    assert not (tmp_path / "run" / STOP).exists()
     assert again.fresh
     same(again.path, run.path)
     assert {path.name for path in again.path.glob("*.parquet")} == {"episodes.parquet", "progress.parquet"}

@@ -12,6 +12,7 @@ from uavnav.networks import mlp
 from uavnav.tasks.seeding import Chance, Streams, places, stream
 from uavnav.tasks.table import make_task
 from uavnav.tasks.world import World
+from uavnav.training.machine import use_threads
 
 
 def test_sampled_actions_follow_the_softmax_of_their_logits():
@@ -166,6 +167,17 @@ def ring(seeds, n_rows, capacity=10, **how):
 def drawn(replay, n):
     """What is drawn of a ring, as one minibatch: [A, n]."""
     return replay.read(replay.draw(1, n)[:, 0], replay.storage.ring)
+
+
+def test_of_more_rows_than_a_ring_holds_the_newest_stay_whatever_the_number_of_threads():
+    codes = torch.arange(300_000.0).reshape(1, 1, -1, 1)
+    zero = torch.zeros_like(codes)
+    following = dict.fromkeys(("reward", "done", "terminated"), zero)
+    batch = TensorDict({"observation": codes, "action": zero[..., 0], "next": following}, codes.shape[:3])
+    replay = Replay([0], 1_000, 1, 1, keeps_next=False)
+    with use_threads(2):
+        replay.extend(batch)
+    assert torch.equal(replay.storage.ring[:, 0, 0].sort().values, codes[0, 0, -1_000:, 0])
 
 
 def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():

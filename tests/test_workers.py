@@ -115,10 +115,11 @@ def test_it_tells_how_far_all_seeds_are(spread_run):
     assert len(told[-1][1]) == 3
 
 
-def test_a_spread_run_that_is_stopped_and_resumed_is_the_run_that_was_not(spread_run, tmp_path):
+@pytest.mark.parametrize("until", [512, 1024])  # also behind the last frame, before the run is written
+def test_a_spread_run_that_is_stopped_and_resumed_is_the_run_that_was_not(until, spread_run, tmp_path):
     config = PPOConfig(n_seeds=3, **SMALL)
-    with pytest.raises(Interrupted, match="saved at 512 of 1,024 frames") as stop:
-        train(config, tmp_path / "run", quiet=True, processes=2, until=512)
+    with pytest.raises(Interrupted, match=f"saved at {until:,} of 1,024 frames") as stop:
+        train(config, tmp_path / "run", quiet=True, processes=2, until=until)
     assert stop.value.wanted
     there = tmp_path / "run" / "workers"
     assert sorted(path.name for path in there.iterdir() if path.is_dir()) == ["0", "1"]
@@ -306,7 +307,7 @@ def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
     [
         (PPOConfig(hidden=[200_000, 200_000]), "100"),
         (SACConfig(hidden=[200_000, 200_000]), "100"),
-        (C51Config(n_atoms=10**8), "10,000,000,000"),
+        (C51Config(n_atoms=10**7), "1,000,000,000"),
     ],
 )
 def test_networks_larger_than_the_machines_memory_are_refused_before_they_are_made(config, outputs):

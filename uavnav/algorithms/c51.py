@@ -12,7 +12,6 @@ Letters: A agents, one per seed; B the rest of a batch.
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 import torch
@@ -53,11 +52,13 @@ class C51Config(QConfig):
 
     def check(self) -> None:
         super().check()
-        least, most = torch.tensor(self.support)  # as the network has them, in single precision
-        if not 0 < most - least < math.inf:
-            low, high = self.support
+        low, high = self.support
+        step = (high - low) / (self.n_atoms - 1)
+        ends = torch.tensor([[low, low + step], [high - step, high]])  # as the network has them
+        if not ((ends[:, 0] < ends[:, 1]).all() and (ends[1, 1] - ends[0, 0]).isfinite()):
             raise ConfigError(
-                f"v_min={low:g}, v_max={high:g}; give a v_min below v_max, both finite in single precision"
+                f"v_min={low:g}, v_max={high:g}; give a v_min below v_max, both finite and with room for "
+                f"{self.n_atoms} atoms in single precision"
             )
 
     def make_loss(self, network: nn.Module) -> C51Loss:

@@ -234,10 +234,11 @@ class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
         super().__init__(compilable=True)
 
     def extend(self, data: Tensor) -> Tensor:
-        """Write rows behind the newest ones; where they are now."""
+        """Write rows behind the newest ones, of more than there is room for the last; where they are now."""
         capacity, n = self._storage.max_size, len(data)
         index: Tensor = torch.arange(self._cursor, self._cursor + n, device=data.device) % capacity
-        self._storage.put(index, data)
+        index = index[-capacity:]  # no place twice: several threads write
+        self._storage.put(index, data[-capacity:])
         self._cursor: int = (self._cursor + n) % capacity
         self._write_count: int = self._write_count + n
         return index

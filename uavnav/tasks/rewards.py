@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from uavnav.errors import ConfigError
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
@@ -109,9 +110,9 @@ REWARDS: dict[str, Callable[[Step], Terms]] = {
 
 
 def check_reward(name: str, world: World) -> None:
-    """Raise a ValueError where a reward asks for what a world does not have."""
+    """Raise a ConfigError where a reward asks for what a world does not have."""
     if name == "goal" and not hasattr(world, "goal_radius"):
-        raise ValueError("reward=goal: this task has no goal; choose task=goal, or another reward")
+        raise ConfigError("reward=goal: this task has no goal; choose task=goal, or another reward")
 
 
 class Bounds(NamedTuple):
@@ -132,8 +133,8 @@ def _progress(world: World, least: int) -> list[float]:
 
 def _to_goal(world: Any) -> Bounds:
     """A step brings the drone nearer to its goal, or further away, by no more than it flies."""
-    most = max(_progress(world, 0))
-    flying = (min(-most, most, 0) + min(world.penalty, 0), max(-most, most) + max(world.penalty, 0))
+    most = max(map(abs, _progress(world, 0)))
+    flying = (-most + min(world.penalty, 0), most + max(world.penalty, 0))
     ends = (world.collision_reward, *(world.goal_reward + edge for edge in flying))
     return Bounds(flying, (min(ends), max(ends)))
 

@@ -55,7 +55,7 @@ MOST_LAYERS = 100
 
 Compile = Annotated[
     Literal["auto", "on", "off"],
-    # of YAML
+    # YAML reads on and off as booleans
     BeforeValidator(lambda value: {True: "on", False: "off"}[value] if isinstance(value, bool) else value),
 ]
 
@@ -119,10 +119,7 @@ class TrainConfig(Settings):
         }
 
     def check(self) -> None:
-        try:
-            check_reward(self.reward, self.world)
-        except ValueError as error:
-            raise ConfigError(str(error)) from error
+        check_reward(self.reward, self.world)
         if self.frames_per_iteration % self.n_envs:
             raise ConfigError(
                 f"n_envs={self.n_envs}; give a divisor of the {self.frames_per_iteration} frames of an "

@@ -60,7 +60,7 @@ Log = Callable[[Columns], None]
 STOPS = (signal.SIGINT, signal.SIGTERM)
 HEARD = b"\nstopping: the run is saved after this iteration; a second Ctrl-C ends it at once, unsaved\n"
 """Said on a terminal at the first of them."""
-SNAPSHOT_FORMAT = 7
+SNAPSHOT_FORMAT = 8
 """Raised when what a snapshot contains of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
@@ -212,8 +212,7 @@ class Recorder:
         if not same_layouts:
             raise OtherRun(
                 f"out={path}: the split layouts={self.config.layouts} has changed since this run began; "
-                "give another"
-                " folder, or overwrite=true"
+                "give another folder, or overwrite=true"
             )
         if meta.get("status") != FINISHED:
             self._before = meta if any((path / name).is_dir() for name in UNFINISHED) else {}
@@ -247,8 +246,7 @@ class Recorder:
             raise
         self.stop: int | None = None
         self._handlers: dict[int, Any] = {}
-        # Ctrl-C is noted, and the next `checkpoint` saves and raises `Interrupted`; a second one ends at
-        # once.
+        # Ctrl-C is noted: the next `checkpoint` saves and raises `Interrupted`; a second one ends at once
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
         self.heartbeat = Heartbeat(self.path, self.config.frames, watched=self.watched)
@@ -258,7 +256,7 @@ class Recorder:
     def _begin(self) -> None:
         if self._overwrite:
             there = (
-                *(self.path / name for name in FILES),
+                *(self.path / name for name in (*FILES, STOP)),
                 *self.path.glob("*.parquet"),
                 *self.path.glob(f"{KEPT}*"),
             )
@@ -287,8 +285,8 @@ class Recorder:
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
         self.heartbeat.__exit__(kind, *error)
-        if self.stop is not None and not gone:
-            files.remove(self.path / STOP)  # it was obeyed, and counts once
+        if (self.stop is not None or self.meta.get("status") == FINISHED) and not gone:
+            files.remove(self.path / STOP)  # it was obeyed, or came too late, and counts once
         self._release(gone)
 
     def _release(self, gone: bool = False) -> None:

@@ -239,7 +239,7 @@ class Learner:
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, moments, targets, and how many steps there were."""
-        return {"state": self.state.detach().clone().to_dict(), "steps": torch.tensor(float(self.steps))}
+        return {"state": self.state.detach().clone().to_dict(), "steps": torch.tensor(self.steps)}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Write in place what `state_dict` returned, so that the networks elsewhere follow."""

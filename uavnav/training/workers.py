@@ -131,6 +131,11 @@ class Worker:
             self.last_words().get("error", UNWRITTEN.format(self.folder) if status == os.EX_IOERR else "")
         )
 
+    @property
+    def finished(self) -> bool:
+        """Whether its folder contains its finished run."""
+        return Recorder(self.folder, self.config).finished
+
     def saved(self) -> int:
         """The frames per seed behind its newest snapshot, or all where it has finished; 0: none is saved."""
         try:
@@ -195,10 +200,9 @@ def train(recorder: Recorder, n: int, threads: int, tell: Update) -> Run:
     if not all(saved):
         folder = workers[saved.index(0)].folder
         raise Interrupted(NOT_SAVED.format(folder), recorder.stop or signal.SIGTERM, 0, wanted=False)
-    if (frames := min(saved)) < recorder.config.frames:
-        raise recorder.interrupted(
-            frames, wanted=recorder.stop is None and frames >= (recorder.until or math.inf)
-        )
+    if not all(worker.finished for worker in workers):  # all frames may be saved and no run written
+        frames, wanted = min(saved), recorder.stop is None
+        raise recorder.interrupted(frames, wanted and frames >= (recorder.until or math.inf))
     _log(recorder.log, workers)
     run = join(recorder, workers)
     tell(run.frames, recorder.heartbeat.lately)

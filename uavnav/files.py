@@ -121,7 +121,7 @@ def parsed_yaml(text: str | bytes) -> Any:
                 raise ValueError("nested too deeply")
         return yaml.load(text, _Loader)
     except (yaml.YAMLError, TypeError, AttributeError, KeyError, OverflowError) as error:
-        # the latter of odd keys, dates
+        # odd keys and dates raise others than YAMLError
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 

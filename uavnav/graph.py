@@ -71,8 +71,7 @@ class Graph:
             except Exception as error:  # a caller's activation or reward may raise any kind
                 raise ConfigError(
                     f"no graph can be made ({telling_line(error)}); activations and rewards are only torch "
-                    "operations,"
-                    " without NumPy and branches on values: or give compile=off"
+                    "operations, without NumPy and branches on values: or give compile=off"
                 ) from error
 
     def _traced(self, tensors: Tensors) -> Function:

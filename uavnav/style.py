@@ -134,7 +134,7 @@ _SHORTER: dict[bytes, bytes | Callable[[re.Match[bytes]], bytes]] = {
     rb'<style type="text/css">\*\{': b"<style>*{font-family: 'DejaVu Sans', Verdana, Arial, sans-serif; ",
     rb"([:;]) (?=[^<>]*>)": rb"\1",
     rb'="([^"\']*)"': rb"='\1'",
-    # a group of nothing but its parts
+    # a group without attributes is its parts
     rb"<g>((?:<(?!g\b|defs)[^<>]*/>|<text[^<>]*>[^<>]*</text>)*)</g>|<g/>": rb"\1",
     rb"(<use [^<>]*) (style='[^']*')/>(?:<use [^<>]* \2/>)+": _grouped,
 }

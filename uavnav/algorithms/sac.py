@@ -63,7 +63,7 @@ class SACConfig(ReplayConfig):
     max_grad_norm: AtLeast0 | None = key(None)  # neither CleanRL nor SB3 clips
     learning_starts: Whole = key(20_000, "of the untrained policy, without updates", "frames per seed", ge=0)
     batch_size: Count = key(64, "in a gradient step", "transitions")
-    # SB3
+    # as SB3 has it
     tau: Share = key(0.005, "of the way to the Q networks that the targets go after each step", "share")
     target_entropy: Share = key(0.89, "of the entropy of random actions, ln 100, for the policy's", "share")
     adam_eps: AtLeast0 = key(1e-4, "Adam's ε")

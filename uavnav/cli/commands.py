@@ -225,8 +225,7 @@ An algorithm of your own: plugins=my_module
 
 STUDY_KEYS = {
     "engine": "engine=local, ray or slurm, with keys of its own: jobs (at once); address; partition, time "
-    "[minutes],"
-    " memory [GB], cluster",
+    "[minutes], memory [GB], cluster",
     "out": "out=DIR (default: runs/NAME)",
     "seeds": "seeds=N of each configuration",
     "frames": "frames=N of each seed",

@@ -77,7 +77,7 @@ class Now:
 
 
 class DroneEnv(EnvBase):  # type: ignore[misc]
-    """A drone that must not hit anything, in a batch of independent worlds.
+    """A drone that must not hit anything, in a batch of independent environments.
 
     Action:
         `action` [*B] int64 in 0..99: ten turns times ten distances, eqs (11) and (12).
@@ -99,7 +99,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         `uavnav.world.VERSION`.
 
     Args:
-        batch_size: any shape B; a training run uses [agents, worlds].
+        batch_size: any shape B; a training run uses [agents, environments].
         layouts: `train`, `validation`, `test`, a layout file's path, or a tensor [n, k, 3].
         world: constants and switches.
         max_steps: a time limit, or None as in the paper.

@@ -54,7 +54,7 @@ class Episode:
         self._angles, self._distances = angle.tolist(), distance.tolist()
         nowhere = task.start(torch.zeros_like(action), torch.zeros_like(action))
         clearance = torch.tensor([[math.inf], [0.0]])
-        # from a goal
+        # the same distance from a goal before and after: no progress
         far = torch.full_like(angle, 1.0 + getattr(self.world, "goal_radius", 0.0), dtype=torch.float64)
         step = Step(nowhere, nowhere, action, angle, distance, clearance, angle, self.world, (far, far))
         terms = REWARDS[task.reward](step).values()

@@ -184,7 +184,7 @@ def report(run: Run) -> None:
 def show(table: Table) -> None:
     """Print a table, wider than the terminal rather than cut off; a closed pipe is met as by `print`."""
     console = Console()
-    # as if the terminal were so wide
+    # the width that it has in a very wide terminal
     whole = console.measure(table, options=console.options.update(width=1000))
     console.width = max(console.width, whole.minimum)
     with console.capture() as text:

@@ -216,7 +216,7 @@ def _bodies(x: Tensor, y: Tensor, circles: Tensor, world: World) -> tuple[Tensor
     left, right = x - world.border, world.width - world.border - x
     below, above = y - world.border, world.height - world.border - y
     distance = torch.cat([length - circles[..., 2].T, torch.stack([left, right, below, above])])
-    # the walls
+    # directions to the four walls
     toward_x, toward_y = x.new_tensor([[-1, 1, 0, 0], [0, 0, -1, 1]])[..., None].expand(2, 4, len(x))
     return distance, torch.cat([dx * scale, toward_x]), torch.cat([dy * scale, toward_y])
 

@@ -462,8 +462,7 @@ CLAIMS = (
     Claim(
         7,
         "Bounded activations (sigmoid, tanh) generally beat unbounded ones (ReLU, leaky ReLU), though "
-        "sigmoid is behind"
-        " in PPO.",
+        "sigmoid is behind in PPO.",
         [
             *(
                 _bounded(algorithm, metric)

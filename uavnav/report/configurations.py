@@ -56,7 +56,7 @@ class Configuration:
     runs: list[Run]
     episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
-    # by metric definition
+    # episodes by metric definition, once asked for
     known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property

@@ -272,7 +272,7 @@ def _of_runs(
 
 
 def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFrame, list[str]]:
-    """What seeds expect and get (`evaluate.values`), and a line for each table that could not be read."""
+    """What seeds expect and get (`evaluation.values`), and a line for each table that could not be read."""
     columns = {"seed": "int64"} | dict.fromkeys(frames.OVERESTIMATION, "float64")
 
     def read(run: Run) -> pd.DataFrame | None:

@@ -61,7 +61,7 @@ OVERESTIMATION = {
     "realised": "realised [reward]",
     "overestimation": "overestimation [reward]",
 }
-"""What a seed expects and gets: columns of `evaluate.values.overestimation`."""
+"""What a seed expects and gets: columns of `evaluation.values.overestimation`."""
 RULE = "reactive"
 """The scripted policy that everything learned is compared with: `uavnav.tasks.baselines.reactive`."""
 VECTORISED = "many environments"

@@ -71,9 +71,7 @@ TITLE = "DQN against PPO, four activation functions: what replicates of the pape
 PREVIEWED = 240
 """Steps of the episodes that the picture of a link shows."""
 DECISIONS = [
-    re.sub(r"\[(.*?)\]\(.*?\)", r"\1", line)
-    .strip("| ")
-    .split(" | ")  # the page may be there without the docs
+    re.sub(r"\[(.*?)\]\(.*?\)", r"\1", line).strip("| ").split(" | ")  # no links: docs may be elsewhere
     for line in (HERE / "decisions.md").read_text(encoding="utf-8").splitlines()
     if not line.startswith("|--")
 ]

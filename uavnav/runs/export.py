@@ -71,7 +71,7 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
         Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes
     )
     for node in program.graph.nodes:
-        # paths of this machine
+        # they contain paths of this machine
         for name in ("stack_trace", "nn_module_stack", "source_fn_stack", "from_node"):
             node.meta.pop(name, None)
     return program

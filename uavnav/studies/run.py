@@ -101,7 +101,7 @@ class Job:
     worker: Worker | None  # None: an evaluation
     handle: Any = None
     told: dict[str, Any] = field(default_factory=dict)  # by its newest heartbeat
-    # so that no former job is taken for this one
+    # a name of its own, so that no former job is taken for this one
     number: str = field(default_factory=lambda: secrets.token_hex(4))
     since: float = 0.0  # when the engine took it
     moved: float = 0.0  # when its frames grew last
@@ -270,7 +270,7 @@ class Runner:
                 raise ConfigError(
                     f"{work.configuration.out}: {own} is known only to this process; give it as a plugin"
                 )
-        # for a place; without a worker to be evaluated
+        # what waits for a free slot; without a worker, an evaluation
         self._waiting: deque[tuple[Work, Worker | None]] = deque()
         self._running: list[Job] = []
         self._stop: int | None = None

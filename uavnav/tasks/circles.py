@@ -61,8 +61,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
             return torch.from_numpy(layouts)
     raise LayoutError(
         f"safe_zone={world.safe_zone:g}: an obstacle with a radius of {layouts[misplaced, -1].max():g} px "
-        "found no place"
-        f" in {DRAWS:,} draws; give a smaller safe_zone or obstacle_radius_max"
+        f"found no place in {DRAWS:,} draws; give a smaller safe_zone or obstacle_radius_max"
     )
 
 

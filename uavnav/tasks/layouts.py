@@ -213,8 +213,7 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     if (header.get("n"), header.get("k")) != (str(n), str(k)):
         raise LayoutError(
             f"{path}: its header says n={header.get('n')}, k={header.get('k')}, not n={n}, k={k} as its "
-            "obstacles are;"
-            " generate it anew"
+            "obstacles are; generate it anew"
         )
     if header.get("sha256") != checksum(all_layouts):
         raise LayoutError(f"{path}: the checksum does not match, the file is damaged; generate it anew")

@@ -4,8 +4,8 @@ A folder contains the two newest states and, for DQN, the replay buffer as a cha
 snapshot adds what is new. A file's name ends in the first half of its SHA-256, so that a cut or a flipped
 byte shows.
 
-    state-<frames>-<sha>.safetensors    tensors by dotted path; facts and the names of the chunks in its
-    header replay-<first row>-<sha>.safetensors
+    state-<frames>-<sha>.safetensors        tensors by dotted path; its header has facts and names of chunks
+    replay-<first row>-<sha>.safetensors    a chunk
 """
 
 from __future__ import annotations

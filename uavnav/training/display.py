@@ -113,9 +113,9 @@ def opening(
     seeds, each = (
         (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
     )
-    worlds = f"{config.n_envs} parallel environment{'' if config.n_envs == 1 else 's'}"
+    envs = f"{config.n_envs} parallel environment{'' if config.n_envs == 1 else 's'}"
     who = f"{config.algorithm} {config.activation}, preset {config.preset}"
-    what = f"{who}: {seeds}, {frames:,} frames{each} in {worlds}"
+    what = f"{who}: {seeds}, {frames:,} frames{each} in {envs}"
     if config.frames <= (before := config.frames_before_learning):
         what += f", too few to learn (updates begin after {before:,})"
     yield f"{what}, into {path}"

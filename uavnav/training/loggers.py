@@ -105,8 +105,7 @@ class Logs:
             self._names = [other for other in self._names if other != name]
             warnings.warn(
                 f"logger={name} fails and is left out ({telling_line(error)}); once the run is finished, "
-                "delete"
-                f" {self._folder / name} and give the same command to log it from its tables",
+                f"delete {self._folder / name} and give the same command to log it from its tables",
                 stacklevel=3,
             )
 

@@ -1,1 +1,1 @@
-"""How episodes are shown: as films and pictures, in a window, in a browser; and the look of all figures."""
+"""How episodes are shown: as films and pictures, and in a browser."""

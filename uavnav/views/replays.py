@@ -188,7 +188,7 @@ def together(recorded: dict[str, Any], configurations: Mapping[str, str], rule: 
     recorded: as `record` gives it; configurations: names by the configuration's label, such as `PPO tanh`;
     rule: the rule's name. Episodes are without choices, and begin where the configurations' are shortest.
     """
-    # in the paper's task
+    # configurations of the paper's task
     there = [one for one in recorded["configurations"] if "place" not in one]
     of = {f"{one['algorithm'].upper()} {one['label']}": one["episodes"] for one in there}
     flown = {name: of[label] for label, name in configurations.items() if label in of}
@@ -215,7 +215,7 @@ def paths(together: dict[str, Any], steps: int) -> dict[str, Array]:
     for drone in together["drones"]:
         episode = drone["episodes"][0]
         content = zlib.decompress(base64.b64decode(episode["bytes"]))
-        # x and y come first
+        # an episode's bytes begin with all x and all y
         columns = np.frombuffer(content, "<u2", 2 * (episode["steps"] + 1)).reshape(2, -1)
         found[drone["name"]] = columns.T[: steps + 1] * FIELDS["x"].unit
     return found
@@ -277,7 +277,7 @@ def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any
     constants: dict[str, Any] = {"world": task.world.model_dump(), "max_steps": task.max_steps}
     if isinstance(task.world, SpaceWorld):
         parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
-        # yaw, pitch [degrees], px
+        # each action: yaw, pitch [degrees], distance [px]
         constants |= {"fields": _told(IN_3D), "actions": torch.stack(parts, -1).tolist()}
     return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
 

@@ -160,7 +160,7 @@ class Ray:
 
     def queued(self, job: Any) -> bool:
         machine = self._running.get(job)
-        # in the order they were given
+        # its jobs, in the order in which they were given
         there = [one for one, where in self._running.items() if where == machine]
         return machine in self._machines() and job in there[self._living[machine] :]
 

@@ -9,6 +9,7 @@ import sys
 
 import pandas as pd
 import pytest
+import scipy.stats
 from made_up import episodes
 from rich.console import Console
 
@@ -25,6 +26,7 @@ from uavnav.report.compare import (
     metrics,
     page,
     pairs,
+    rounded,
     seeds_of,
     survival,
     text,
@@ -32,6 +34,7 @@ from uavnav.report.compare import (
 from uavnav.report.tables import side_by_side
 from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import read_table
+from uavnav.stats import Interval
 from uavnav.tasks.baselines import reactive
 
 main = functools.partial(commands.run, "compare")
@@ -64,6 +67,17 @@ def test_a_seed_of_above_beats_one_of_below_in_eight_and_a_half_of_nine_pairs():
     assert pair["probability"] == pytest.approx(8.5 / 9)
 
 
+def test_two_times_three_seeds_differ_by_welchs_interval_over_both_whichever_comes_first():
+    scattered = made_up("scattered", [-30.0, 3.0, 33.0])
+    for one, other in ((ABOVE, scattered), (scattered, ABOVE)):
+        samples = [each.episodes.groupby("seed")["reward"].mean() for each in (one, other)]
+        low, high = scipy.stats.ttest_ind(*samples, equal_var=False).confidence_interval()
+        pair = dict(zip(*pairs([one, other]), strict=True))
+        assert pair["more reward"] == rounded(Interval(samples[0].mean() - samples[1].mean(), low, high, 3))
+        assert high - low > 100
+        assert pair["over"] == "3 seeds"
+
+
 def test_a_single_seed_has_no_probability_and_its_interval_is_over_its_episodes_on_the_same_layouts():
     one, other = made_up("one", [3.0]), made_up("other", [1.0])
     one.episodes["reward"] = [3.0, 5.0]
@@ -88,7 +102,7 @@ def test_episodes_that_end_at_ten_steps_are_up_until_then():
 def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
     text([ABOVE, BELOW], Console(width=120))
     said = capsys.readouterr().out
-    assert "above minus below: 2.0 [1.0, 3.0] of reward, over 3 seeds; a seed of it has more with" in said
+    assert "above minus below: 2.0 [−0.3, 4.3] of reward, over 3 seeds; a seed of it has more with" in said
     assert "probability 0.94" in said
     html = page([ABOVE, BELOW]).decode()
     for row in side_by_side(seeds_of([ABOVE, BELOW])):

@@ -207,7 +207,13 @@ def of_episodes(values: pd.Series, seeds: pd.Series) -> tuple[stats.Interval, st
 
 
 def ahead(one: Contender, other: Contender) -> tuple[stats.Interval, str]:
-    """How much more reward one earns on the same layouts than the other's mean there; as of `of_episodes`."""
+    """How much more reward one earns than the other on the same layouts, and what its interval is over.
+
+    Of several seeds each it is Welch's; else as of `of_episodes`, against the other's mean on each layout.
+    """
+    seeds = [each.episodes.groupby("seed")["reward"].mean().to_numpy() for each in (one, other)]
+    if min(map(len, seeds)) > 1:
+        return stats.difference(seeds[:1], seeds[1:]), "seeds"
     theirs = other.episodes.groupby("layout")["reward"].mean()
     gaps = (one.episodes["reward"] - one.episodes["layout"].map(theirs)).dropna()
     return of_episodes(gaps, one.episodes["seed"])

@@ -178,6 +178,8 @@ def test_of_more_rows_than_a_ring_holds_the_newest_stay_whatever_the_number_of_t
     with use_threads(2):
         replay.extend(batch)
     assert torch.equal(replay.storage.ring[:, 0, 0].sort().values, codes[0, 0, -1_000:, 0])
+    places = replay.writer.extend(torch.zeros(3_000, *replay.storage.ring.shape[1:]))
+    assert len(places) == len(places.unique()) == 1_000  # else the threads race
 
 
 def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():

@@ -48,7 +48,7 @@ LEFT_TO_WORK = 5.0
 """Seconds given to a case whose work may be as long as it asks, before it is stopped."""
 LEFT_TO_TRAIN = 1.0
 """Seconds given to one that has begun to train."""
-DRAWS = "sets with goals are drawn for this world"
+DRAWS = "layouts with goals are drawn for this world"
 """What a case says that then takes minutes."""
 AT_ONCE = 2
 BLOCK = 50

@@ -1007,6 +1007,12 @@ CASES = [
     word("evaluate reactive --transfer --across arc", "not allowed with argument", ""),
     word("evaluate {}/run nowhere --episodes 2", "nowhere: no such run folder", RUN),
     word("evaluate {}/rum", "no such run folder; give a run's folder", "(did you mean {}/run?)"),
+    word("evaluate {}/run --out rows", "--out rows: the rows of a run are kept in its folder", "leave it"),
+    word("evaluate {}/run --at 1", "kept no policies at=1", "give a share between 0 and 1"),
+    word(f"{RENDER} --task goal", "--task goal: what was trained flies in its own task", "leave it out"),
+    *(word(f"evaluate random --plugins={name}", f"--plugins {name}: is no module's name", "as my_module")
+        for name in ("./x", "my.py.", "my-module")),
+    word("report thesis/chapter.txt", "chapter.txt: is a file", "give a folder that contains runs"),
     word("compare reactive", "reactive: there is nothing to compare it with",
         "at least two, such as reactive"),
     word("compare {}/run {}/rum", "no such run folder", "(did you mean {}/run?)"),
@@ -1017,6 +1023,8 @@ CASES = [
     word("playground thesis --out .", ".: cannot be written (it is a folder)",
         "give a path that can be written"),
     word("export nowhere --out new.pt2", "no policy.safetensors there", "give the folder of a finished run"),
+    word("export reactive --out new.pt2", "reactive: a scripted policy has no network", "give a trained one"),
+    word("export {}/run --out no/new.pt2", "there is no folder no", "give one that is there"),
     word("export {}/run --seed 7 --out new.pt2", "seed=7 is not there", "choose from 0 ... 1"),
     # what Stable-Baselines3 has saved
     *(word(f"{name} {words}--activation tanh", "--activation tanh: runs know their own",

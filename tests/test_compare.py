@@ -57,7 +57,8 @@ ABOVE, BELOW = made_up("above", [3.0, 4.0, 5.0]), made_up("below", [1.0, 2.0, 3.
 def test_means_are_over_seeds_with_intervals_and_the_ratios_to_steps_in_percent():
     found = metrics([ABOVE, BELOW]).set_index(["name", "metric"])
     assert found.loc[("above", "reward"), ["n", "mean"]].tolist() == [3, 4.0]
-    assert 3.0 <= found.loc[("above", "reward"), "low"] < 4.0 < found.loc[("above", "reward"), "high"] <= 5.0
+    interval = scipy.stats.ttest_1samp([3.0, 4.0, 5.0], 0).confidence_interval()
+    assert found.loc[("above", "reward"), ["low", "high"]].tolist() == pytest.approx(list(interval))
     assert found.loc[("below", "turns"), "mean"] == pytest.approx(20.0)
     assert found.loc[("below", "speed"), "mean"] == pytest.approx(5.0)
 
@@ -82,13 +83,13 @@ def test_a_single_seed_has_no_probability_and_its_interval_is_over_its_episodes_
     one, other = made_up("one", [3.0]), made_up("other", [1.0])
     one.episodes["reward"] = [3.0, 5.0]
     pair = dict(zip(*pairs([one, other]), strict=True))
-    assert (pair["more reward"], pair["over"]) == ("3.0 [2.0, 4.0]", "2 episodes")
+    assert (pair["more reward"], pair["over"]) == ("3.0 [−9.7, 15.7]", "2 episodes")
     assert pair["probability of more"] == pair["Holm's p"] == "–"
     turned = dict(zip(*pairs([other, ABOVE]), strict=True))
     assert [turned[key] for key in ("", "against", "more reward", "over")] == [
         "above",
         "other",
-        "3.0 [2.0, 4.0]",
+        "3.0 [0.5, 5.5]",
         "3 seeds",
     ]
 

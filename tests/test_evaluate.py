@@ -414,13 +414,27 @@ def test_the_papers_column_stands_beside_runs_and_episodes_of_its_place_alone(tr
     assert bool(summary.of_paper(run, flown_in)) == beside
 
 
+@pytest.mark.parametrize(
+    ("words", "title"),
+    [
+        ([], "random on 3 test layouts"),
+        (["--max-steps", "20"], "random on 3 test layouts, at most 20 steps"),
+        (["--faults", "noise=5", "--shield"], "random on 3 test layouts, noise=5, shielded"),
+        (["--task", "goal"], "random on 3 test layouts, task goal"),
+    ],
+)
+def test_the_table_says_what_is_unusual_in_how_policies_were_flown(words, title, capsys):
+    assert fly_command(["random", "--episodes", "3", *words]) == 0
+    assert capsys.readouterr().out.splitlines()[0].strip() == title
+
+
 def test_quiet_prints_nothing_and_json_an_entry_for_each_with_the_means_of_the_rows(run, capsys, tmp_path):
     words = ["random", str(run.path), "--episodes", "3", "--max-steps", "20"]
     assert fly_command([*words, "--quiet", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr() == ("", "")
     assert fly_command([*words, "--json"]) == 0
     scripted, trained = json.loads(capsys.readouterr().out)
-    assert (scripted["run"], scripted["seeds"], scripted["sets"]) == ("random", [0], 3)
+    assert (scripted["run"], scripted["seeds"], scripted["episodes"]) == ("random", [0], 3)
     rows = pd.read_parquet(tmp_path / "random-test-3-20.parquet")
     found = scripted["metrics"]["scripted"]["reward"]
     assert found == {"mean": pytest.approx(rows["reward"].mean()), "sd": None}

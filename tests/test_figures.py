@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from made_up import configuration, episodes
 from PIL import Image
+from scipy.stats import ttest_1samp
 
 from uavnav import stats, style
 from uavnav.colours import OTHERS, PILOTS
@@ -182,7 +183,7 @@ def test_a_figure_of_nothing_says_no_data(name):
     assert style.save(drawn.figure)[1].startswith(b"\x89PNG")
 
 
-def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_mean_is_dashed():
+def test_a_curve_is_the_mean_of_3_seeds_within_students_interval_and_the_papers_mean_is_dashed():
     shown = drawn({"tanh": trained([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])}, title="PPO: ")
     (axes,) = shown.figure.axes
     line, dashed = axes.lines
@@ -190,7 +191,8 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
     assert line.get_xdata().tolist()[:2] == [20.0, 60.0]  # the middles of the first two 25ths of 1,000 frames
     (band,) = axes.collections
     (first, second, *_), (highest, high, *_) = heights(band)
-    assert (first, highest) == pytest.approx((0.0, 6.0))  # all three the same seed: 1 of 27, more than 2.5 %
+    low, above = ttest_1samp([0.0, 3.0, 6.0], 0).confidence_interval()
+    assert (first, highest) == pytest.approx((low, above))
     assert (second, high) == pytest.approx((3.0, 3.0))
     assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [88.527 / 2727.577] * 2)
     assert dashed.get_color() == line.get_color() == style.COLOURS["tanh"]
@@ -202,21 +204,30 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
     )
 
 
-def test_a_band_of_20_seeds_holds_the_quantiles_of_resampled_means():
-    seeds = np.random.default_rng(1).normal(size=(3, 20))
+@pytest.mark.parametrize("n", [2, 20])
+def test_a_band_is_students_interval_of_each_bin(n):
+    seeds = np.random.default_rng(1).normal(size=(3, n))
     band = charts.band(pd.DataFrame(seeds))
-    assert np.allclose(band["mean"], seeds.mean(1))
-    width = 1.96 * seeds.std(1) / np.sqrt(20)
-    assert np.allclose(band["low"], seeds.mean(1) - width, atol=0.06)
-    assert np.allclose(band["high"], seeds.mean(1) + width, atol=0.06)
+    low, high = ttest_1samp(seeds, 0, axis=1).confidence_interval()
+    assert np.allclose(band[["mean", "low", "high"]], np.stack([seeds.mean(1), low, high], 1))
 
 
 def test_a_seed_without_a_value_counts_for_none_in_its_bin():
     band = charts.band(pd.DataFrame([[1.0, np.nan, 5.0], [2.0, np.nan, np.inf], [np.nan] * 3]))
-    assert band.iloc[0].tolist() == [3.0, 1.0, 5.0, 2]
+    interval = ttest_1samp([1.0, 5.0], 0).confidence_interval()
+    assert band.iloc[0].tolist() == pytest.approx([3.0, *interval, 2])
     assert band.iloc[1, 0] == 2.0
     assert band["n"].tolist() == [2, 1, 0]
     assert band.iloc[1:, 1:3].isna().all(axis=None)
+
+
+def test_the_band_of_2_seeds_is_cut_off_where_the_lines_would_shrink():
+    shown = drawn({"tanh": trained([0.0, 3.0], [10.0, 4.0])})
+    (axes,) = shown.figure.axes
+    (band,) = axes.collections
+    assert heights(band)[0][0] < -50
+    dashed = 88.527 / 2727.577
+    assert axes.get_ylim() == pytest.approx((2 * dashed - 5, 10 - dashed))  # lines from dashed to 5
 
 
 def test_one_seed_gives_a_line_and_no_band():

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_up import NO_STUDIES, configuration, episodes, run
-from scipy.stats import spearmanr
+from scipy.stats import kendalltau, ttest_1samp
 
 from uavnav import stats
 from uavnav.report import frames, tables
@@ -158,7 +158,8 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
     assert (row["configuration"], row["n"], row["episodes"]) == ("PPO tanh", 2, 6)
     assert row["cut_off"] == pytest.approx(2 / 6)
-    assert (row["low"], row["high"]) == pytest.approx((200, of_first))
+    interval = ttest_1samp([200, of_first], 0).confidence_interval()
+    assert (row["low"], row["high"]) == pytest.approx(tuple(interval))
     assert [*curves] == ["PPO tanh"]
     assert curves["PPO tanh"].loc[20.0] == pytest.approx(4 / 6)
     naive = flown.groupby("seed")["steps"].mean().mean()
@@ -299,7 +300,8 @@ def test_diagnostics_are_of_the_last_tenth_and_columns_that_a_run_lacks_have_no_
     (row,) = found.to_dict("records")
     assert (row["configuration"], row["diagnostic"], row["n"]) == ("PPO tanh", "dormant", 2)
     assert row["value"] == pytest.approx(0.2)
-    assert (row["low"], row["high"]) == pytest.approx((0.1, 0.3))
+    interval = ttest_1samp([0.3, 0.1], 0).confidence_interval()
+    assert (row["low"], row["high"]) == pytest.approx(tuple(interval))
 
 
 def test_episodes_of_the_main_study_by_configuration():
@@ -625,7 +627,7 @@ def test_open_episodes_are_those_of_each_seed_that_no_crash_ended():
     assert found.loc["open", "value"] == pytest.approx((0.6 + 0.2 + 0 - 3 * 0.04) / 3)
 
 
-def test_the_order_is_spearmans_correlation_of_the_activations_means():
+def test_the_order_is_kendalls_tau_of_the_activations_means():
     rewards = {"tanh": 4e4, "sigmoid": 1e4, "relu": 3e4, "leaky_relu": 2e4}
     one = in_worlds(**{name: spread(own, 1.0) for name, own in rewards.items()})
     row = worlds(one, one).loc["order"]
@@ -661,19 +663,23 @@ def test_the_interval_of_a_difference_of_deviations_covers_it_in_about_95_percen
     assert 0.91 <= covered / 400 <= 0.98
 
 
-def test_ranks_correlate_as_scipys_do_and_their_interval_widens_with_scatter():
+def test_kendalls_tau_is_scipys_and_its_interval_takes_pairs_that_are_not_told_apart_both_ways():
     rng = np.random.default_rng(2)
     first = [rng.normal(mean, 0.1, size=20) for mean in (0, 3, 1, 2)]
     second = [rng.normal(mean, 0.1, size=40) for mean in (0, 3, 2, 1)]
-    found = stats.rank_correlation(first, second)
-    expected = spearmanr([own.mean() for own in first], [own.mean() for own in second]).statistic
+    found = stats.concordance(first, second)
+    expected = kendalltau([own.mean() for own in first], [own.mean() for own in second]).statistic
     assert (found.value, found.n) == (pytest.approx(expected), 20)
-    assert (found.low, found.high) == (pytest.approx(0.8), pytest.approx(0.8))  # no draw changes places
-    wide = stats.rank_correlation([10 * rng.normal(size=20) + own for own in first], second)
-    assert wide.high - wide.low > 0.5
+    assert found[1:3] == (pytest.approx(2 / 3), pytest.approx(2 / 3))  # every pair is told apart in both
+    near = [first[0], first[1], first[2], first[2] + 0.01 * rng.normal(size=20)]
+    assert stats.concordance(near, second)[1:3] == (pytest.approx(2 / 3), pytest.approx(1))
+    wide = stats.concordance([100 * rng.normal(size=20) + own for own in first], second)
+    assert wide[1:3] == (-1, 1)
 
 
-def test_ranks_of_one_configuration_of_one_seed_or_of_equal_means_have_no_correlation():
+def test_one_configuration_or_one_seed_has_no_order_and_equal_means_leave_it_open():
     two = [np.array([1.0, 2.0]), np.array([3.0, 4.0])]
-    for first in (two[:1], [np.array([1.0]), two[1]], [two[0], two[0]]):
-        assert np.isnan(stats.rank_correlation(first, two[: len(first)])[:3]).all()
+    for first in (two[:1], [np.array([1.0]), two[1]]):
+        assert np.isnan(stats.concordance(first, two[: len(first)])[:3]).all()
+    assert stats.concordance([two[0], two[0]], two) == (0, -1, 1, 2)
+    assert np.isnan(stats.concordance([np.array([np.nan, 2.0]), two[1]], two)[:3]).all()

@@ -289,7 +289,7 @@ def test_one_missing_activation_leaves_the_question_open_and_no_order_is_compare
     assert len(activations.carried(measured)) == 0
 
 
-def test_an_order_that_dqn_turns_round_has_a_rank_correlation_of_minus_1():
+def test_an_order_that_dqn_turns_round_has_a_tau_of_minus_1():
     up = [10.0 * place for place in range(9)]
     measured = activations_at(up, algorithms=["ppo"]) | activations_at(up[::-1], algorithms=["dqn"])
     found = activations.carried(measured).set_index("measure")

@@ -57,8 +57,8 @@ def test_runs_are_ranked_beside_the_scripted_policy_over_seeds_or_episodes_and_u
     text = (runs / "report.md").read_text()
     found = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("|")][2:7]
     assert [row[0] for row in found] == ["scripted policy, `reactive`", "b", "a", "late", "stopped"]
-    assert found[1][1:5] == ["7.0 [4.8, 8.2]", "4 episodes", "0", "−3.0 [−5.2, −1.8]"]
-    assert found[2][1:5] == ["2.0 [1.0, 3.0]", "3 seeds", "0", "−8.0 [−9.0, −7.0]"]
+    assert found[1][1:5] == ["7.0 [3.6, 10.4]", "4 episodes", "0", "−3.0 [−6.4, 0.4]"]
+    assert found[2][1:5] == ["2.0 [−0.5, 4.5]", "3 seeds", "0", "−8.0 [−10.5, −5.5]"]
     assert found[3][1] == found[4][1] == "not evaluated"
     assert found[4][-1] == "stopped at 400 of 1,000 frames"
     assert "lr=0.5" in text
@@ -68,6 +68,15 @@ def test_runs_are_ranked_beside_the_scripted_policy_over_seeds_or_episodes_and_u
     assert "location.reload" not in page
     assert page.count("<figure") == 2
     assert all((runs / "figures" / f"{name}-1.svg").exists() for name in ("ranking", "curves"))
+
+
+def test_runs_of_a_study_of_ones_own_are_ones_own_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_run(Path("runs/a"), two(0, 5.0), algorithm="ppo", meta={"study": "thesis"})
+    assert "<title>My runs</title>" in report().path.read_text()
+    meta = json.loads(Path("runs/a/meta.json").read_text())
+    Path("runs/a/meta.json").write_text(json.dumps(meta | {"study": "paper"}))
+    assert "<title>My runs</title>" not in report().path.read_text()
 
 
 def test_a_watched_page_loads_itself_again(runs):

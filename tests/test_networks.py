@@ -175,6 +175,7 @@ class Flat(Layer):
         (Flat, r"\[0, 1, 8\] became \[0, 1, 0\]"),
         (nn.ReLU, "takes from 1 to 2"),
         (lambda x: x.sum(-1), "became"),
+        (lambda x: x.numpy(), "it gave a ndarray"),
     ],
 )
 def test_what_cannot_be_an_activation_is_one_line_that_says_what_can(entry, says, monkeypatch):

@@ -153,6 +153,10 @@ def test_a_rung_and_a_layout_file_are_on_the_page_under_their_names(tmp_path, ca
         (lambda text: text.replace("steps", "paces"), "cannot be read (its columns are others)"),
         (lambda text: text.replace(",7,7,", ",7,1000,"), "line 2 is no episode"),
         (lambda text: text.replace("True,False", "True,True"), "line 2 is no episode"),
+        (lambda text: text.replace("30,0,0,0,40", "30,31,0,0,40"), "line 2 is no episode"),
+        (lambda text: text.replace("30,0,0,0,40", "30,0,0,31,40"), "line 2 is no episode"),
+        (lambda text: text.replace("30,0,0,0,40", "30,5,6,0,40"), "line 2 is no episode"),
+        (lambda text: text.replace("30,0,0,0,40", "30,0,0,0,271"), "line 2 is no episode"),
         (lambda text: text.replace("-10.5", "much"), "cannot be read"),
     ],
 )

@@ -293,6 +293,7 @@ def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):
         ("raise ValueError('one\\ntwo')", "ValueError: one"),
         ("import nowhere_at_all", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("def (", "SyntaxError: "),
+        ("import sys; sys.exit(0)", "SystemExit: 0"),
     ],
 )
 def test_a_plugin_that_cannot_be_imported_is_one_line_with_the_reason(code, reason, tmp_path, monkeypatch):

@@ -29,6 +29,7 @@ from uavnav.training.recorder import Recorder
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 RESULTS = RECIPES.parent / "results"
+SMALL_BATCHES = ["frames_per_batch=64", "minibatch_size=64", "compile=off"]
 SHORT = {
     "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "anneal_lr=true", "evaluate=false"],
     "dqn": ["total_frames=1e3", "learning_starts=500", "anneal_lr=true", "evaluate=false"],
@@ -289,8 +290,16 @@ def test_in_the_folder_that_one_stands_in_a_run_ends_with_what_to_do_next(recipe
     assert "uavnav compare . reactive" in out
 
 
+def test_a_run_that_diverges_says_so_though_nothing_is_evaluated(recipe, tmp_path):
+    words = ["lr=1e38", "max_grad_norm=null", "out=run", "evaluate=false", "total_frames=128", "epochs=2"]
+    for _ in range(2):
+        status, _, err = recipe("ppo", "--quiet", *words, *SMALL_BATCHES)
+        assert (status, err.count("\n")) == (2, 1)
+        assert "is not finite, it diverged" in err
+
+
 def test_of_a_sweep_the_configurations_beside_one_that_diverges_are_trained(recipe, tmp_path):
-    sizes = ["total_frames=128", "frames_per_batch=64", "minibatch_size=64", "epochs=2", "compile=off"]
+    sizes = ["total_frames=128", "epochs=2", *SMALL_BATCHES]
     for _ in range(2):
         status, _, err = recipe(
             "ppo", "-m", "--quiet", "lr=1e38,1e-3", "max_grad_norm=null", "out=runs/${lr}", *sizes

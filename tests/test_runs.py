@@ -211,12 +211,15 @@ def test_overwrite_starts_anew(trained, tmp_path):
     train(other, out=tmp_path / "run", quiet=True)
     for name in ("evaluation-test-5-20", "arena", "values", "across-density"):
         (tmp_path / "run" / f"{name}.parquet").touch()
+    for name in ("across-density-5-20.svg", "transfer-5-20-abc123.png", "notes.svg"):
+        (tmp_path / "run" / name).touch()
     (tmp_path / "run" / STOP).touch()  # that the finished run never saw
     again = train(config, out=tmp_path / "run", overwrite=True, quiet=True)
     assert not (tmp_path / "run" / STOP).exists()
     assert again.fresh
     same(again.path, run.path)
     assert {path.name for path in again.path.glob("*.parquet")} == {"episodes.parquet", "progress.parquet"}
+    assert [path.name for path in again.path.glob("*.[sp][vn]g")] == ["notes.svg"]
 
 
 def test_an_interrupted_run_says_so_and_can_be_run_again(tmp_path, monkeypatch):

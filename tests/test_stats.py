@@ -3,6 +3,7 @@ censoring.
 """
 
 import functools
+import itertools
 import subprocess
 import sys
 import warnings
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import stdtrit
-from scipy.stats import bootstrap, trim_mean, ttest_ind, ttest_rel
+from scipy.stats import bootstrap, trim_mean, ttest_1samp, ttest_ind, ttest_rel
 from statsmodels.stats.power import TTestIndPower
 
 from uavnav import stats
@@ -59,6 +60,36 @@ def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_
     found = [stats.interval(rng.normal(7.0, 2.0, 20), seed=draw) for draw in range(200)]
     covered = np.mean([one.low <= 7.0 <= one.high for one in found])
     assert 0.89 <= covered <= 0.98
+
+
+@pytest.mark.parametrize("n", [2, 5, 10])
+def test_the_interval_of_the_mean_of_few_normal_seeds_covers_it_in_about_95_percent_of_1000_draws(n):
+    rng = np.random.default_rng(n)
+    rows = stats.intervals(rng.normal(7.0, 2.0, size=(1000, n)), [np.mean, stats.interquartile_mean])
+    assert 0.93 <= np.mean([mean.low <= 7.0 <= mean.high for mean, _ in rows]) <= 0.97
+    known = ttest_1samp([1.0, 2.0, 6.0], 0).confidence_interval()
+    assert stats.interval([1.0, 2.0, 6.0]) == pytest.approx((3.0, known.low, known.high, 3))
+
+
+@pytest.mark.parametrize("means", [[0, 0, 0, 0], [0, 0, 1, 1], [0, 1, 2, 3], [0, 5, 10, 15]])
+@pytest.mark.parametrize("turned", [1, -1])
+def test_the_interval_of_kendalls_tau_covers_that_of_the_true_means_in_at_least_95_percent(means, turned):
+    rng, covered = np.random.default_rng(0), 0
+    pairs = list(itertools.combinations(means, 2))
+    true = float(np.mean([turned * np.sign(a - b) ** 2 for a, b in pairs]))
+    for _ in range(200):
+        first, second = (rng.normal(np.array(means)[:, None], 2, size=(4, 10)) for _ in range(2))
+        found = stats.concordance(first, turned * second)
+        covered += found.low <= true <= found.high
+    assert covered / 200 >= 0.95
+
+
+def test_an_order_of_equal_means_is_wrongly_known_in_at_most_5_percent():
+    rng, known = np.random.default_rng(0), 0
+    for _ in range(400):
+        apart = rng.normal(100 * np.arange(4)[:, None], 2, size=(4, 10))
+        known += stats.concordance(apart, rng.normal(0, 2, size=(4, 10)))[1:3] != (-1, 1)
+    assert known / 400 <= 0.06  # 18 % if each pair had a test of 5 %
 
 
 def covered(first, second, n, draws=1000):
@@ -342,7 +373,7 @@ def test_where_bca_is_undefined_the_interval_is_of_percentiles_and_no_warning_es
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = stats.interval(values, middle)
-        assert stats.interval([1.0, 2.0])[1:3] == (1.0, 2.0)
+        assert stats.interval([1.0, 2.0], middle)[1:3] == (1.0, 2.0)
     options = {"n_resamples": stats.RESAMPLES, "rng": np.random.default_rng(0)}
     with warnings.catch_warnings(action="ignore"):
         assert np.isnan(bootstrap((values,), middle, method="BCa", **options).confidence_interval.low)
@@ -362,7 +393,9 @@ def test_an_interval_of_any_seeds_is_known_from_2_on_without_a_warning(seeds):
         for statistic in (np.mean, stats.interquartile_mean):
             found = stats.interval(seeds, statistic)
             assert np.isnan(found.low) == (len(seeds) == 1)
-            assert len(seeds) == 1 or min(seeds) - 1e-9 <= found.low <= found.high <= max(seeds) + 1e-9
+            assert len(seeds) == 1 or found.low <= found.value <= found.high
+            resampled = statistic is not np.mean and len(seeds) > 1
+            assert not resampled or min(seeds) - 1e-9 <= found.low <= found.high <= max(seeds) + 1e-9
 
 
 def test_no_test_of_interaction_warns_where_seeds_are_all_alike():

@@ -20,6 +20,7 @@ from uavnav.evaluation import Protocol
 from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import draws, search
 from uavnav.studies.run import evaluated, unflown
+from uavnav.tasks import ladders
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
 
@@ -137,6 +138,18 @@ def test_scripted_policies_that_cannot_fly_a_task_are_skipped_in_a_study(tmp_pat
     asked = scripted(found, tmp_path, ["vfh", "dwa", "orca"])
     flown = [words[: words.index("--episodes")] for words in asked]
     assert flown == [["vfh", "dwa"], ["dwa"], ["dwa", "orca"]]
+
+
+def test_classics_fly_where_a_configuration_was_trained_and_only_the_usual_scripts_climb_its_ladder(tmp_path):
+    text = """
+        settings: {evaluate: {episodes: 5, max_steps: 9, across: [density]}}
+        configurations: [{algorithm: ppo, layouts: density-4/train}]
+    """
+    found = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
+    asked = scripted(found, tmp_path, ["reactive", "dwa"])
+    assert sum("dwa" in words for words in asked) == 1
+    assert asked[0][:4] == ["reactive", "dwa", "--layouts", "density-4/test"]
+    assert len(asked) == len(ladders.LADDERS["density"].rungs)
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_ra
     assert tables.listed(found, "leaders")[1][:5] == [
         "drone",
         "PPO tanh",
-        "42.00 [40.80, 43.20]",
+        "42.00 [40.04, 43.96]",
         "reactive",
         "20.00",
     ]

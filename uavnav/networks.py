@@ -181,7 +181,9 @@ class Activation(nn.Module):
                 self.layer = layer = entry(units, generators)
                 self.parallel = layer.parallel
             given = torch.zeros(len(generators), 1, self.parallel * units)
-            *rows, self.width = self(given).shape  # the width that the next layer sees
+            if not isinstance(found := self(given), Tensor):
+                raise TypeError(f"it gave a {type(found).__name__}")
+            *rows, self.width = found.shape  # the width that the next layer sees
             if rows != [*given.shape[:-1]] or not self.width:
                 raise ValueError(f"{[*given.shape]} became {[*rows, self.width]}")
         except Exception as error:  # a caller's activation may raise any kind

@@ -46,10 +46,12 @@ def load(names: str | Sequence[str] | None) -> None:
     for name in wanted:
         if name in LOADED:
             continue
+        if "/" in name or not all(name.split(".")):
+            raise ConfigError(f"plugins={name}: is no module's name; give one, such as my_module")
         before = [dict(table) for table, _ in TABLES.values()]
         try:
             module = importlib.import_module(name)
-        except Exception as error:  # whatever a user's module raises
+        except (Exception, SystemExit) as error:  # whatever a user's module raises
             if isinstance(error, ModuleNotFoundError) and error.name == name:
                 where = f"is no module in {os.getcwd()} or on PYTHONPATH"
                 raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error

@@ -190,6 +190,16 @@ def mark(marker: str, label: str, **look: Any) -> Line2D:
     return Line2D([], [], linestyle="none", marker=marker, color=INK, label=label, **look)
 
 
+def keep_lines_legible(axes: Axes) -> None:
+    """Show of wide bands, as of two seeds, at most as much on each side as the lines need."""
+    drawn = [np.empty(0), *(np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.lines)]
+    places = np.concatenate(drawn)
+    places = places[np.isfinite(places)]
+    if len(places) and (room := np.ptp(places)) > 0:
+        low, high = axes.get_ylim()
+        axes.set_ylim(max(low, places.min() - room), min(high, places.max() + room))
+
+
 def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interval | None = None) -> Interval:
     """A configuration's seeds [S], their mean and its interval, in a row of a chart; known: the mean."""
     found = known or stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))

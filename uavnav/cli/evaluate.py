@@ -61,6 +61,8 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
         raise ConfigError("--alone: only --across adds scripted policies; leave it out")
     if arguments.at is not None and (elsewhere or not all(isinstance(one, Run) for one in found.values())):
         raise ConfigError(f"--at {arguments.at:g}: only runs keep policies, for one split; leave it out")
+    if arguments.out is not None and not elsewhere and all(isinstance(one, Run) for one in found.values()):
+        raise ConfigError(f"--out {arguments.out}: the rows of a run are kept in its folder; leave it out")
     for name, (usual, why) in OF_ONE_SPLIT.items():
         if elsewhere and (given := getattr(arguments, name)) != usual:
             raise ConfigError(f"{' '.join(option(name, given))}: {why}; leave it out")

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from argparse import Namespace
+from pathlib import Path
 
+from uavnav.errors import ConfigError
+from uavnav.files import check_out
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import load_policy, zips
+from uavnav.tasks.protocol import SCRIPTS
 
 
 def main(arguments: Namespace) -> int:
+    if arguments.run in SCRIPTS and not os.path.exists(arguments.run):
+        raise ConfigError(f"{arguments.run}: a scripted policy has no network; give a trained one")
+    check_out(path := Path(arguments.out))
+    if not path.parent.is_dir():
+        raise ConfigError(f"--out {path}: there is no folder {path.parent}; give one that is there")
     zips([arguments.run], arguments.activation)
     policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
-    path = export_policy(policy, arguments.out)
+    export_policy(policy, path)
     print(f"{path}: observation [N, {policy.task.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 import webbrowser
 from argparse import Namespace
@@ -16,6 +17,7 @@ from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.tables import RunError, lock, read_csv, read_table, write_table
 from uavnav.tasks.protocol import MAX_STEPS, SPLITS
 from uavnav.tasks.table import EMPTY, make_task
+from uavnav.tasks.world import World
 from uavnav.views.browser import TITLES
 from uavnav.views.browser.playground import Opening
 
@@ -33,7 +35,9 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(f"--max-steps {arguments.max_steps}: give at least 1")
     make_task(EMPTY, task=arguments.task)
     if arguments.task not in TITLES:
-        film = f"uavnav render reactive --task {arguments.task} --out flight.gif"
+        given = ["--plugins", ",".join(arguments.plugins)] if arguments.plugins else []
+        words = ["render", "reactive", "--task", arguments.task, *given, "--out", "flight.gif"]
+        film = shlex.join(["uavnav", *words])
         raise ConfigError(f"--task {arguments.task}: the playground has no such task; watch it: {film}")
     opening = Opening(
         arguments.layouts, arguments.layout, arguments.task, arguments.greedy, arguments.max_steps
@@ -62,6 +66,9 @@ def keep(path: Path, person: int) -> str:
     possible = rows["layout"].between(0, SPLITS["test"].n - 1) & (rows["terminated"] != rows["truncated"])
     possible &= rows["terminated"] | (rows["steps"] == MAX_STEPS)  # no shorter time limit
     possible &= (counts >= 0).all(axis=1) & rows["steps"].between(1, MAX_STEPS)
+    possible &= (counts["full_stops"] <= counts["stops"]) & (counts["stops"] <= counts["steps"])
+    possible &= counts["turns"] + counts["full_stops"] <= counts["steps"]
+    possible &= counts["distance"] <= max(World().distances) * (counts["steps"] - counts["stops"])
     if not possible.all():
         line = 2 + int(possible.argmin())
         raise RunError(f"{path}: line {line} is no episode; give human.csv, which K of the playground saves")

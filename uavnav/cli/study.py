@@ -25,12 +25,12 @@ from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.settings import AtLeast0, Count, Settings, key
 from uavnav.studies import Configuration, draws, engines, search, tuning
-from uavnav.studies.run import Runner, Work, evaluated, let_go, make_layouts, trained
+from uavnav.studies.run import Runner, Work, check_folder, evaluated, let_go, make_layouts, trained
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.protocol import USUAL
 from uavnav.tasks.table import EMPTY, make_task
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
+from uavnav.training.recorder import CHECKPOINT_SECONDS
 
 LINE_SECONDS = 30.0
 """Between two lines of progress where there is no terminal."""
@@ -78,7 +78,7 @@ def status(configuration: Configuration) -> dict[str, Any]:
     facts["of"] = config.frames
     if (out / "config.yaml").exists():
         try:
-            Recorder(out, config)
+            check_folder(configuration)
         except LayoutError:
             pass  # a study makes its layouts when it begins
         except RunError as error:
@@ -192,10 +192,10 @@ def main(arguments: Namespace) -> int:
 def scripted(
     configurations: Sequence[Configuration], folder: Path, names: Sequence[str] = USUAL
 ) -> list[list[str]]:
-    """The episodes of scripts that a folder lacks, in the tasks of configurations and on the rungs that are
-    layouts of their own: each the words of `uavnav evaluate`.
+    """The episodes of scripts that a folder lacks: of some in the tasks of configurations, of the usual ones
+    on the rungs that are layouts of their own. Each is the words of `uavnav evaluate`.
     """
-    wanted: dict[Protocol | None, list[str]] = {}
+    wanted: dict[Protocol | None, tuple[Sequence[str], list[str]]] = {}
     for configuration in (one for one in configurations if one.flights):
         own, flights = configuration.config, configuration.flights
         climbed = [name for name in layouts.RUNGS if name in configuration.across]
@@ -205,11 +205,12 @@ def scripted(
             task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
             where = str(flown.layouts), flown.episodes, flown.max_steps, flown.shield
             protocol = scripts.protocol_in(task, *where)
-            wanted[protocol] = ["--measures"] * configuration.measures
+            usual, more = [one for one in names if one in USUAL], ["--measures"] * configuration.measures
+            wanted[protocol] = (names, more) if flown in flights else wanted.get(protocol, (usual, more))
     return [
         [*scripts.words(rules, folder, one), *more]
-        for one, more in wanted.items()
-        if one is not None and (rules := scripts.missing(folder, one, names))
+        for one, (asked, more) in wanted.items()
+        if one is not None and (rules := scripts.missing(folder, one, asked))
     ]
 
 
@@ -222,5 +223,5 @@ def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
         begun = row["state"] in ("under way", "stopped")
         far = f"  {row['frames']:,} of {row['of']:,} frames per seed" if begun else ""
         print(f"{row['configuration']:{width}}  {row['state']}{far}")
-    states = [row["state"] for row in rows]
+    states = [row["state"].partition(" (")[0] for row in rows]
     print(", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)))

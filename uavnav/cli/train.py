@@ -24,7 +24,7 @@ from uavnav.cli.help.render import render
 from uavnav.errors import ConfigError, OneLineError, complain, told, unknown, unknown_key
 from uavnav.evaluation import MAX_STEPS, Protocol, evaluate_run, summary
 from uavnav.runs import Run
-from uavnav.runs.policies import Diverged
+from uavnav.runs.policies import Diverged, load_policies
 from uavnav.runs.tables import RunError
 from uavnav.settings import Seconds, Settings, flat, key, shown
 from uavnav.tasks.table import TASKS
@@ -243,6 +243,8 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
         summary.report(finished)
     elif not quiet:
         print(f"{out}: this run is already finished; overwrite=true starts it anew")
+    if not command.evaluate:
+        load_policies(finished.path)  # one that diverged ends in its line
     protocol = Protocol(max_steps=TASKS[config.task].limit(MAX_STEPS))
     if command.evaluate and not (finished.path / protocol.file("evaluation")).exists():
         if not quiet:

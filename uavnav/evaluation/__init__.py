@@ -278,7 +278,8 @@ def evaluate_run(
         raise RunError(f"run={told(run)}; give a Run")
     checked("quiet", quiet, bool)
     if at is not None and at not in run.config.get("keep_at", []):
-        raise RunError(f"{run.path}: kept no policies at={at:g}; train with keep_at=[{at:g}]")
+        right = f"train with keep_at=[{at:g}]" if 0 < at < 1 else "give a share between 0 and 1"
+        raise RunError(f"{run.path}: kept no policies at={at:g}; {right}")
     policies = load_policies(run.path if at is None else run.path / kept(at), run.seeds)
     modes = by_mode({seed: one.shielded() if shield else one for seed, one in policies.items()})
     own = modes["greedy"][run.seeds[0]].task

@@ -176,6 +176,7 @@ def draw(
             colour, line = colour_of[str(name)], lines.get(str(name), "-")
             axes.plot(own["rung"], own["value"], line, color=colour, marker="o", label=str(name))
             axes.fill_between(own["rung"], own["low"], own["high"], color=colour, alpha=0.15, linewidth=0)
+        style.keep_lines_legible(axes)
         axes.set_title(in_words(measure))
     below = [in_brief(mine)] if "over" in mine else []
     panels[-1].set_xlabel("\n".join([ladder.words, *below]))

@@ -18,8 +18,9 @@ from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, decimals, log_cur
 from uavnav.runs.lately import Lately, sparkline, with_spread
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks.faults import NO_FAULTS
-from uavnav.tasks.protocol import SPLITS
+from uavnav.tasks.protocol import MAX_STEPS, SPLITS
 from uavnav.tasks.table import TASKS
+from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
 from uavnav.training.config import TrainConfig
 
@@ -70,8 +71,9 @@ def record(run: Run) -> dict[str, Any]:
 
 def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
     """What `of_evaluation` shows, for JSON."""
-    seeds, sets = sorted(map(int, rows["seed"].unique())), int(rows["layout"].nunique())
-    found = {"seeds": seeds, "sets": sets, "metrics": _numbers(_flown(rows))}
+    seeds = sorted(map(int, rows["seed"].unique()))
+    found: dict[str, Any] = {"seeds": seeds} | {str(name): said for name, said in rows.attrs.items()}
+    found["metrics"] = _numbers(_flown(rows))
     own = {str(mode): metrics.own(flown).mean().to_dict() for mode, flown in rows.groupby("mode")}
     return found | ({"own": own} if any(own.values()) else {})
 
@@ -134,13 +136,23 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
     name = f"{who.algorithm} {who.config['activation']}" if isinstance(who, Run) else who
+    where = f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} layouts"
     return _metric_table(
-        f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} layouts",
+        ", ".join([where, *_how(rows.attrs, who)]),
         "; ".join([f"{seeds}; truncated at the time limit: {censored}", *_own(rows)]),
         flown,
         of_paper(who, rows.attrs) if isinstance(who, Run) else {},
         "episode",
     )
+
+
+def _how(flown: Mapping[Any, Any], who: str | Run) -> list[str]:
+    """How episodes were flown, where it is not the usual way, by the header of their file and who flew."""
+    task = (who.config if isinstance(who, Run) else flown).get("task", "drone")
+    limit = flown.get("max_steps", usual := TASKS.get(task, Task).limit(MAX_STEPS))
+    told = [f"task {task}"] * (task != "drone") + [f"at most {limit:,} steps"] * (limit != usual)
+    own = {"faults": "{}", "shield": "shielded", "at": "policies at {:g} of training"}
+    return told + [text.format(flown[name]) for name, text in own.items() if name in flown]
 
 
 def _own(rows: pd.DataFrame) -> list[str]:

@@ -129,11 +129,11 @@ def widest(samples: Sequence[Array], margin: float) -> list[object]:
 
 @columns("layer_norm", "measure", *NUMBERS)
 def carried(measured: Measured) -> Rows:
-    """Whether PPO's order of activations is DQN's: Spearman's correlation of means, a row a measure."""
+    """Whether PPO's order of activations is DQN's: Kendall's tau of means, a row a measure."""
     for layer_norm, measure in itertools.product((False, True), (REWARD, FINAL, *PROBES)):
         first, second = (_of(measured, algorithm, layer_norm, measure) for algorithm in ALGORITHMS)
         if first and second:
-            yield [layer_norm, measure, *stats.rank_correlation(first, second)]
+            yield [layer_norm, measure, *stats.concordance(first, second)]
 
 
 @matplotlib.rc_context(style.STYLE)

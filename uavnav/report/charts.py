@@ -6,7 +6,6 @@ bins of frames.
 
 from __future__ import annotations
 
-import functools
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,14 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
+from scipy import special
 
 from uavnav import stats, style
 from uavnav.report.configurations import Configuration
 from uavnav.runs.definitions import PER_FRAME, words
 from uavnav.stats import Array, Interval
-
-RESAMPLES = 1_000
-"""Bootstrap draws of the band of a curve."""
 
 
 @matplotlib.rc_context(style.STYLE)
@@ -219,6 +216,7 @@ def curves(
         ends.append(f"{name} {style.said(end._replace(n=int(end.n)), beside)}")
     if np.isfinite(rule):
         axes.axhline(rule, label=style.RULE, **style.RULED)
+    style.keep_lines_legible(axes)
     axes.set_ylabel(metric)
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
     _name_dashes(axes, printed, colours)
@@ -274,30 +272,11 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
 
 
 def band(seeds: pd.DataFrame) -> pd.DataFrame:
-    """Mean, low, high and n a bin [B] of values [B, S], by percentile bootstrap; NaN without two seeds."""
-    values = seeds.to_numpy(dtype=np.float64)
-    there = np.isfinite(values)
-    filled, n = np.where(there, values, 0.0), values.shape[1]
-    tail = (1 - stats.CONFIDENCE) / 2
-    found = np.full((len(values), 3), np.nan)
-    sums, counts = (
-        _draws(n) @ np.stack([filled, there]).transpose(0, 2, 1) if n else np.empty((2, 0, len(values)))
-    )
-    for row, (own, known) in enumerate(zip(filled, there, strict=True)):
-        if known.any():
-            found[row, 0] = own[known].mean()
-        if known.sum() > 1:
-            drawn = counts[:, row] > 0
-            means = sums[drawn, row] / counts[drawn, row]
-            found[row, 1:] = np.quantile(means, [tail, 1 - tail])
-    return pd.DataFrame(found, seeds.index, ["mean", "low", "high"]).assign(n=there.sum(1))
-
-
-@functools.lru_cache(maxsize=2)
-def _draws(n: int) -> Array:
-    """How often each of n seeds is drawn: [RESAMPLES, n]."""
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=RESAMPLES)
-    return drawn.astype(np.float64)
+    """Mean, low, high and n a bin [B] of values [B, S]: Student's interval; NaN without two seeds."""
+    known = seeds.where(np.isfinite(seeds))
+    mean, n = known.mean(axis=1), known.count(axis=1)
+    half = special.stdtrit((n - 1).clip(1), stats.TAILS[1]) * known.sem(axis=1)
+    return pd.DataFrame({"mean": mean, "low": mean - half, "high": mean + half, "n": n})
 
 
 def _shade(axes: Axes, line: pd.DataFrame, colour: str) -> None:

@@ -296,7 +296,8 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         up.add_column(f"{mark:,}", justify="right")
     for name, shares in survival(contenders).items():
         up.add_row(name, *(f"{100 * float(shares[shares.index < mark].iloc[-1]):.0f}" for mark in marks))
-    console.print(up)
+    if marks:
+        console.print(up)
     for a, b, more, over, probability, p in pairs(contenders)[1:]:
         beats = f"; a seed of it has more with probability {probability}, p = {p} (Holm)"
         console.print(f"{a} minus {b}: {more} of reward, over {over}{beats * (p != tables.NOTHING)}")

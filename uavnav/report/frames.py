@@ -305,7 +305,7 @@ def one_against_many(studies: Studies) -> Rows:
     - longest: the longest episode of a seed that is open at the end [steps], 0 where none is;
     - open: the share of a seed's frames in episodes that are open at the end.
 
-    order: Spearman's correlation, one against many, of the activations' mean rewards per frame.
+    order: Kendall's tau, one against many, of the activations' mean rewards per frame (`stats.concordance`).
     """
 
     def measured(configuration: Configuration) -> dict[str, stats.Array]:
@@ -321,7 +321,7 @@ def one_against_many(studies: Studies) -> Rows:
         both = [measured(found[key]) for found in (one, many) for key in keys]
         yield from ([measure, algorithm, *_halves([own[measure] for own in both])] for measure in both[0])
         first, second = ([of_seeds(found[key], PRIMARY) for key in keys] for found in (one, many))
-        yield ["order", algorithm, *stats.rank_correlation(first, second)]
+        yield ["order", algorithm, *stats.concordance(first, second)]
 
 
 @columns("settings", "activations", *NUMBERS)

@@ -255,7 +255,7 @@ LISTED: Mapping[str, Columns] = {
     "activations_carried": {
         "measure": "{measure}",
         "LayerNorm": _layer_norm,
-        "rank correlation of PPO and DQN": "{value:.2f} [{low:.2f}, {high:.2f}]",
+        "Kendall's tau of PPO and DQN": "{value:.2f} [{low:.2f}, {high:.2f}]",
         "seeds": "{n}",
     },
 }

@@ -23,7 +23,7 @@ from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
-from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
+from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS, USUAL
 
 if TYPE_CHECKING:
     from uavnav.runs.evaluations import Protocol
@@ -294,7 +294,7 @@ def leaders(found: pd.DataFrame) -> Rows:
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
     """The configurations that were trained in the paper's task across a ladder, means of their activations,
-    and the scripts; None where no configuration was.
+    and the usual scripts; None where no configuration was.
     """
     from uavnav.evaluation import across
     from uavnav.tasks.ladders import LADDERS
@@ -313,7 +313,7 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
                 parts.append([who, MODE, float(rung), metric, one.n, *one[:3]])
     if not parts:
         return None
-    for rule, rung in itertools.product(SCRIPTS, rungs):
+    for rule, rung in itertools.product(USUAL, rungs):
         own = found.rungs.get((name, rung), {}).get(rule, pd.DataFrame())
         for metric in (one for one in ("reward", "collisions", *OWN) if one in own):
             one = stats.interval(own[metric].dropna().to_numpy())

@@ -17,8 +17,8 @@ or one of yours.
                                 # {out}/rate-0.001/ppo/tanh and so on
     scripts: baselines          # scripted policies fly in the task of each configuration too, as it does;
                                 # their rows go there
-    scripted: [reactive, dwa]   # which of them; by default random, straight and reactive;
-                                # ones that cannot fly a task are skipped
+    scripted: [reactive, dwa]   # which of them; by default random, straight and reactive, which alone
+                                # climb the ladders; ones that cannot fly a task are skipped
     tune: ...                   # settings that are searched for first: `search`
     draw: ...                   # settings that are drawn first: `draws`
 

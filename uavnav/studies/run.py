@@ -32,7 +32,7 @@ from uavnav.studies import Configuration, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
 from uavnav.training import heartbeat, machine, recorder, workers
-from uavnav.training.recorder import STOPS, Interrupted, Recorder
+from uavnav.training.recorder import STOPS, Interrupted, OtherRun, Recorder
 from uavnav.training.workers import Worker
 
 POLL_SECONDS = 1.0
@@ -226,6 +226,14 @@ def make_layouts(out: Path, numbers: Sequence[int]) -> None:
             layouts.save(layouts.generate(split.n, k, split.seed), path, seed=split.seed, split="train")
 
 
+def check_folder(configuration: Configuration) -> None:
+    """Raise an OtherRun, or another error of a `Recorder`, where its folder cannot be its own."""
+    try:
+        Recorder(configuration.out, configuration.config)
+    except OtherRun as error:  # a study overwrites nothing
+        raise OtherRun(str(error).removesuffix(", or overwrite=true")) from error
+
+
 class Runner:
     """A study that is carried out.
 
@@ -264,7 +272,7 @@ class Runner:
         self.works = [Work(one) for one in configurations if not (self._trained(one) and evaluated(one))]
         for configuration in configurations:
             # the folder of a finished one, too, may contain another run
-            Recorder(configuration.out, configuration.config)
+            check_folder(configuration)
         for work in self.works:
             if own := machine.own_parts(work.configuration.config):
                 raise ConfigError(

@@ -201,7 +201,7 @@ class Recorder:
         if there["algorithm"] == self.config.algorithm:
             there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
         same_layouts = meta.get("layouts", self.meta["layouts"]) == self.meta["layouts"]
-        for key in sorted({*there, *self._described}, key=str):
+        for key in sorted({*there, *self._described}, key=lambda key: (key != "algorithm", str(key))):
             if there.get(key) != self._described.get(key) and not (
                 key == "layouts" and meta and same_layouts
             ):
@@ -259,6 +259,7 @@ class Recorder:
                 *(self.path / name for name in (*FILES, STOP)),
                 *self.path.glob("*.parquet"),
                 *self.path.glob(f"{KEPT}*"),
+                *(one for what in ("across", "transfer") for one in self.path.glob(f"{what}-*.[ps][nv]g")),
             )
             if folder := next((path for path in there if path.is_dir() and not path.is_symlink()), None):
                 raise RunError(f"out={self.path}: {folder.name} is a folder; give another folder")

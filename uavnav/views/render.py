@@ -26,13 +26,13 @@ from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.errors import did_you_mean
 from uavnav.evaluation import episodes
+from uavnav.evaluation.scripts import task_of
 from uavnav.runs import policies
 from uavnav.runs.shipped import is_shipped
 from uavnav.tasks import layouts as splits
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.state import State, at
-from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.wrapper import WrappedTask
 
 SUFFIXES = (".mp4", ".gif", ".png")
@@ -91,10 +91,10 @@ def load_pilots(
 
     Raises:
         PolicyError: no such run or seed, or an activation and no .zip.
-        ValueError: there is no such task, or the runs fly layouts of several.
+        ValueError: there is no such task, one beside a run, or the runs fly layouts of several.
     """
     zips, pilots = policies.zips(words, activation), []
-    scripted = make_task(EMPTY, task=task)
+    scripted = task_of(task)
     for word in words:
         if word in BASELINES:
             pilots.append(Pilot(word, BASELINES[word], scripted))
@@ -103,12 +103,14 @@ def load_pilots(
             name = word if is_shipped(word) else "/".join(Path(word).resolve().parts[-2:])
             pilots.append(Pilot(name, policy, policy.task, policy.seed))
     of_runs = [pilot.task for pilot in pilots if pilot.task is not scripted]
+    if of_runs and task != "drone":
+        raise ValueError(f"--task {task}: what was trained flies in its own task; leave it out")
     if len(kinds := {splits.kind_of(one.world) for one in of_runs}) > 1:
         raise ValueError(
             f"runs of task={' and task='.join(sorted(kinds))} have no set in common; give those of one"
         )
-    task_of = {scripted: of_runs[0] if of_runs else scripted}
-    placed = [one._replace(task=task_of.get(one.task, one.task)) for one in pilots]
+    beside = {scripted: of_runs[0] if of_runs else scripted}
+    placed = [one._replace(task=beside.get(one.task, one.task)) for one in pilots]
     return [one._replace(policy=suited(one.policy, one.task)) for one in placed]
 
 

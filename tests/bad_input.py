@@ -1012,7 +1012,6 @@ CASES = [
     word(f"{RENDER} --task goal", "--task goal: what was trained flies in its own task", "leave it out"),
     *(word(f"evaluate random --plugins={name}", f"--plugins {name}: is no module's name", "as my_module")
         for name in ("./x", "my.py.", "my-module")),
-    word("report thesis/chapter.txt", "chapter.txt: is a file", "give a folder that contains runs"),
     word("compare reactive", "reactive: there is nothing to compare it with",
         "at least two, such as reactive"),
     word("compare {}/run {}/rum", "no such run folder", "(did you mean {}/run?)"),

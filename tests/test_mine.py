@@ -70,15 +70,6 @@ def test_runs_are_ranked_beside_the_scripted_policy_over_seeds_or_episodes_and_u
     assert all((runs / "figures" / f"{name}-1.svg").exists() for name in ("ranking", "curves"))
 
 
-def test_runs_of_a_study_of_ones_own_are_ones_own_too(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_run(Path("runs/a"), two(0, 5.0), algorithm="ppo", meta={"study": "thesis"})
-    assert "<title>My runs</title>" in report().path.read_text()
-    meta = json.loads(Path("runs/a/meta.json").read_text())
-    Path("runs/a/meta.json").write_text(json.dumps(meta | {"study": "paper"}))
-    assert "<title>My runs</title>" not in report().path.read_text()
-
-
 def test_a_watched_page_loads_itself_again(runs):
     assert "location.reload" in report(watched=True).path.read_text()
 

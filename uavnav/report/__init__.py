@@ -51,12 +51,12 @@ def report(
         RunError: no run can be used, or `out` cannot be written: nothing is.
     """
     read, where = places(folders, out)
-    for folder in read:
-        run_folders(folder)
     try:
         files.check_out(where / "report.html")  # before the work
     except ValueError as error:
         raise RunError(str(error)) from error
+    for folder in read:
+        run_folders(folder)
     tell("loading PyTorch")
     from uavnav.report import mine, page  # which fly, and so load torch
     from uavnav.report.configurations import collect

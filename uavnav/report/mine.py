@@ -1,4 +1,4 @@
-"""My runs, finished or not: those of no study of the package, ranked with the scripted policy."""
+"""My runs, finished or not: those that name no study, ranked with the scripted policy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav import studies, style
+from uavnav import style
 from uavnav.errors import OneLineError
 from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead
@@ -19,7 +19,7 @@ from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.frames import RULE, least_to_most
 from uavnav.report.templating import Figure
 from uavnav.report.verdicts import SEEDS
-from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders, trials
+from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
 from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
@@ -29,8 +29,6 @@ from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
 
 TITLES = browser.TITLES | browser.IN_3D
-OF_THE_PACKAGE = frozenset(studies.names())
-"""Studies whose runs answer for the paper or have a section of their own."""
 YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
@@ -79,7 +77,7 @@ def gather(
     out: Path,
     tell: Callable[[str], None],
 ) -> Mine | None:
-    """What is said of the runs that are of no study of the package; None where all of them are.
+    """What is said of the runs without a study; None where all of them have one.
 
     found: finished ones of all kinds; unfinished: as the function of that name gives them; out: where
     scripted episodes are kept; tell: as of `report`.
@@ -87,7 +85,7 @@ def gather(
     own: dict[Path, Begun] = {
         one.runs[0].path: (one, f"{least_to_most([one.n_seeds], 'seed')}, {one.settings['frames']:,} frames")
         for one in found
-        if one.study not in OF_THE_PACKAGE
+        if not one.study
     }
     own |= unfinished
     if not own:
@@ -116,14 +114,14 @@ def gather(
         groups,
         _best(groups[0], paths),
         differences(contenders),
-        _missing(found, folders),
+        _missing(found, folders[0]),
         recorded,
         left_out,
     )
 
 
 def unfinished(folders: Sequence[Path]) -> dict[Path, Begun]:
-    """The runs that are training or were stopped, by their folders; a study names itself in finished ones."""
+    """The runs that are training or were stopped and name no study, by their folders."""
     found = {}
     for path in dict.fromkeys(path for folder in folders for path in run_folders(folder)[0]):
         try:
@@ -133,7 +131,7 @@ def unfinished(folders: Sequence[Path]) -> dict[Path, Begun]:
             continue
         if not {"algorithm", "activation", "total_frames"} <= config.keys():
             continue  # no run's, as `collect` says
-        if meta.get("status") != FINISHED and meta.get("study") not in OF_THE_PACKAGE:
+        if meta.get("status") != FINISHED and not meta.get("study"):
             found[path] = _begun(path, config, meta)
     return found
 
@@ -324,19 +322,19 @@ def differences(contenders: Sequence[Contender]) -> tables.Rows:
     return rows
 
 
-def _missing(found: Sequence[Configuration], folders: Sequence[Path]) -> str:
-    """What the paper's claims would need, in a sentence; empty where some can be judged, or a study tuned."""
+def _missing(found: Sequence[Configuration], folder: Path) -> str:
+    """What the paper's claims would need, in a sentence; empty where there is enough to judge some."""
     ready = {
         (one.algorithm, one.activation)
         for one in found
         if one.n_seeds >= SEEDS and one.settings.get("task", "drone") == "drone"
     } & paper.TABLES.keys()
-    if len(ready) > 1 or any(one.study in OF_THE_PACKAGE for one in found) or trials.folders(folders):
+    if len(ready) > 1 or any(one.study for one in found):
         return ""
     return (
         f"The verdicts on the paper's claims need at least two of its {len(paper.TABLES)} configurations with"
         f" {SEEDS} seeds each; here {len(ready)} {'has' if len(ready) == 1 else 'have'} that many."
-        f" `uavnav study paper out={folders[0]}` trains all of them."
+        f" `uavnav study paper out={folder}` trains all of them."
     )
 
 

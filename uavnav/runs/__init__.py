@@ -97,7 +97,6 @@ class Meta(Facts):
     """What meta.json contains, as far as somebody reads it."""
 
     status: str = ""
-    study: str = ""
     frames: Annotated[Count, Field(ge=1)] | None = None
     started: str = ""
     ended: str = ""

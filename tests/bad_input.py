@@ -1011,7 +1011,7 @@ CASES = [
     word("evaluate {}/run --at 1", "kept no policies at=1", "give a share between 0 and 1"),
     word(f"{RENDER} --task goal", "--task goal: what was trained flies in its own task", "leave it out"),
     *(word(f"evaluate random --plugins={name}", f"--plugins {name}: is no module's name", "as my_module")
-        for name in ("./x", "my.py.", "my-module")),
+        for name in ("./x", "my.py.", ".my")),
     word("compare reactive", "reactive: there is nothing to compare it with",
         "at least two, such as reactive"),
     word("compare {}/run {}/rum", "no such run folder", "(did you mean {}/run?)"),

@@ -48,7 +48,7 @@ PLAIN = {
 FULL = {
     **PLAIN,
     "obstacles": [4],
-    "scripts": "baselines",
+    "scripted_folder": "baselines",
     "configurations": [
         {"algorithm": ["ppo", "a2c"], "folder": "rate-{lr}", "lr": [0.1, 0.2], "world.slots": "listed"}
     ],
@@ -382,7 +382,7 @@ def _make_study(folder):
         )
     for job in configuration.out.glob("workers/*.job"):
         told = json.loads(job.read_text()) | {
-            "evaluation": configuration.flights[0].header(),
+            "evaluation": configuration.evaluations[0].header(),
             "folder": ".",
             "how": {},
         }

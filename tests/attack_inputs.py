@@ -49,7 +49,7 @@ OWN = {
 }
 QUICK = {
     "evaluate": ["--episodes", "2", "--max-steps", "5"],
-    "render": ["--steps", "2", "--out", "flight.png"],
+    "render": ["--steps", "2", "--out", "episode.png"],
     "export": ["--out", "policy.pt2"],
     "layouts": ["--out", "layouts", "--n", "4", "--k", "4"],
     "study": ["study.yaml", "out=study", "report=false", "jobs=1"],

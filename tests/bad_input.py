@@ -371,7 +371,7 @@ def words(settings):
 
 EVALUATE = "evaluate {}/run --episodes 2 --max-steps 5"
 VERIFY = "verify {}/run"
-RENDER = "render {}/policy --out {}/flight.png --steps 2"
+RENDER = "render {}/policy --out {}/episode.png --steps 2"
 SHOWS = ("render", "play")
 NEW_LAYOUTS = "layouts --out {}/new"
 REPORT = "report {}/run"
@@ -568,15 +568,15 @@ CASES = [
     all_layouts("two axes", obstacles(lambda b: b[0]), "not [4, 3]", SHAPE),
     all_layouts("two columns", obstacles(lambda b: b[..., :2]), "not [20, 4, 2]", SHAPE),
     all_layouts("no sets", obstacles(lambda b: b[:0]), "not [0, 4, 3]", SHAPE),
-    all_layouts("nan", obstacles(entry(2, 0, math.nan)), "{}/layouts: obstacle 2 of set 1 is not finite",
+    all_layouts("nan", obstacles(entry(2, 0, math.nan)), "{}/layouts: obstacle 2 of layout 1 is not finite",
         ANEW),
-    all_layouts("an infinite radius", obstacles(entry(0, 2, math.inf)), "obstacle 0 of set 1 is not finite",
-        ANEW),
-    all_layouts("a radius of 29.9", obstacles(entry(3, 2, 29.9)), "obstacle 3 of set 1 has a radius",
+    all_layouts("an infinite radius", obstacles(entry(0, 2, math.inf)),
+        "obstacle 0 of layout 1 is not finite", ANEW),
+    all_layouts("a radius of 29.9", obstacles(entry(3, 2, 29.9)), "obstacle 3 of layout 1 has a radius",
         "30 ... 100 px"),
-    all_layouts("a radius of 101", obstacles(entry(3, 2, 101.0)), "obstacle 3 of set 1 has a radius",
+    all_layouts("a radius of 101", obstacles(entry(3, 2, 101.0)), "obstacle 3 of layout 1 has a radius",
         "30 ... 100 px"),
-    all_layouts("on the start", obstacles(entry(0, slice(2), 400.0)), "obstacle 0 of set 1",
+    all_layouts("on the start", obstacles(entry(0, slice(2), 400.0)), "obstacle 0 of layout 1",
         "nearer than 50 px to the start"),
     all_layouts("doctored with its checksum", consistent, "{}/layouts: is not what seed 0 generates", ANEW),
     all_layouts("a seed in words", obstacles(generator_seed="seven"),

@@ -165,7 +165,7 @@ def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
     run = ppo.train(ppo.PPOConfig(**small, world={"n_turns": 4}), tmp_path / "run", quiet=True)
     said = []
     found = across.across([across.of_run("mine", run)], ["sticky"], 2, 20, None, True, said.append)
-    assert said == ["left out: the scripts, which choose among 10 turns and 10 distances"]
+    assert said == ["left out: the scripted policies, which choose among 10 turns and 10 distances"]
     assert {one["name"] for one in found} == {"mine"}
 
 
@@ -237,8 +237,8 @@ def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(
     assert (flown["plain"], flown["goal"], flown["reactive"]) == (*limits, limits[0])
     assert pd.read_parquet(goal.path / f"across-sticky-1-{limits[1]}.parquet").attrs["max_steps"] == limits[1]
     assert (tmp_path / f"across-sticky-1-{limits[0]}.png").exists()
-    scripts = "random 2,000, straight 2,000, reactive 2,000"
-    differ = f"time limits differ (plain 2,000, goal 1,000, {scripts}); --max-steps gives all the same"
+    limits = "random 2,000, straight 2,000, reactive 2,000"
+    differ = f"time limits differ (plain 2,000, goal 1,000, {limits}); --max-steps gives all the same"
     assert told == ([] if given else [differ])
 
 

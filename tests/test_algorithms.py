@@ -346,7 +346,7 @@ def test_a_page_replays_its_episodes_as_they_are_flown_one_by_one(algorithm, run
 
 
 def test_an_episode_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):
-    path = tmp_path / "flight.gif"
+    path = tmp_path / "episode.gif"
     assert render_command([str(run.path), "--out", str(path), "--steps", "12", "--width", "160"]) == 0
     with Image.open(path) as film:
         assert (film.format, film.n_frames > 1) == ("GIF", True)

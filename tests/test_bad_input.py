@@ -39,10 +39,9 @@ from bad_input import (
 from uavnav import LayoutError, RunError, runs
 from uavnav.__main__ import main
 from uavnav.algorithms import dqn
-from uavnav.cli import commands
+from uavnav.cli import commands, render
 from uavnav.report.configurations import collect
 from uavnav.runs import POLICY
-from uavnav.views import render
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +244,7 @@ def test_an_evaluation_whose_disk_is_full_leaves_the_old_rows(folder, name):
 
 
 def test_a_layout_file_or_a_picture_whose_disk_is_full_is_the_old_one(folder):
-    save_picture(folder / "flight.gif")
+    save_picture(folder / "episode.gif")
     before = tree(folder)
     with (
         full("layouts", True),
@@ -253,8 +252,8 @@ def test_a_layout_file_or_a_picture_whose_disk_is_full_is_the_old_one(folder):
     ):
         save_layouts(folder / "layouts")
     with (
-        full("flight", True),
-        pytest.raises(ValueError, match=r"flight.gif: cannot be written .*No space left"),
+        full("episode", True),
+        pytest.raises(ValueError, match=r"episode.gif: cannot be written .*No space left"),
     ):
-        save_picture(folder / "flight.gif")
+        save_picture(folder / "episode.gif")
     assert tree(folder) == before

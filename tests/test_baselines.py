@@ -144,6 +144,6 @@ def test_in_a_world_of_other_fields_reactive_flies_on_and_touches_no_wall(task, 
 def test_a_script_refuses_a_world_of_other_actions_in_one_line(name, task, chosen):
     whole = make_task("test", {"n_distances": 3}, task=task)
     with pytest.raises(
-        ValueError, match=f"n_distances=3: scripts choose among {chosen} distances; leave them out"
+        ValueError, match=f"n_distances=3: scripted policies choose among {chosen} distances; leave them out"
     ):
         suited(BASELINES[name], whole)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.bench import BY_DEFAULT, LONGER, QUICK, jobs, plan, training, worlds
+from uavnav.bench import BY_DEFAULT, LONGER, QUICK, environments, jobs, plan, training
 from uavnav.bench.jobs import JobError
 from uavnav.bench.page import machine, read_sections
 from uavnav.bench.plan import Measurement
@@ -21,7 +21,7 @@ from uavnav.cli import bench, commands
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
-NUMPY = Measurement("gymnasium/numpy", "worlds.single", {"which": "numpy", "seconds": 0.05}, rounds=1)
+NUMPY = Measurement("gymnasium/numpy", "environments.single", {"which": "numpy", "seconds": 0.05}, rounds=1)
 
 # -- jobs ----------------------------------------------------------------------------------------------------
 
@@ -38,17 +38,19 @@ def test_a_job_that_takes_too_long_is_ended(tmp_path, monkeypatch):
 
 
 def test_a_process_that_fails_says_why_in_one_line_and_ends_the_one_beside_it(tmp_path):
-    one = Measurement("world/two", "worlds.batched", {"batches": [1], "meeting": "", "copies": 3}, copies=2)
+    one = Measurement(
+        "world/two", "environments.batched", {"batches": [1], "meeting": "", "copies": 3}, copies=2
+    )
     began = time.monotonic()
     with pytest.raises(JobError, match="TypeError") as failed:
         jobs.measure(one, one.arguments | {"settings": 7}, tmp_path)
     assert "\n" not in str(failed.value)
-    assert time.monotonic() - began < worlds.PATIENCE
+    assert time.monotonic() - began < environments.PATIENCE
 
 
 def test_two_processes_meet_and_their_rates_are_added_and_other_numbers_averaged(tmp_path, monkeypatch):
     arguments = {"batches": [1, 2], "compiled": False, "seconds": 0.01, "meeting": "", "copies": 2}
-    one = Measurement("world/two", "worlds.batched", arguments, copies=2)
+    one = Measurement("world/two", "environments.batched", arguments, copies=2)
     found = jobs.measure(one, arguments, tmp_path)
     assert set(found) == {"rate", "1", "2", "peak"}
     assert found["peak"] > 0
@@ -66,7 +68,7 @@ def test_a_job_ends_when_the_one_that_started_it_is_killed(tmp_path):
         "import sys, pathlib; from uavnav.bench import jobs; popen = jobs.subprocess.Popen;"
         "tell = lambda job: print(job.pid, flush=True) or job;"
         "jobs.subprocess.Popen = lambda *args, **how: tell(popen(*args, **how));"
-        "one = jobs.Measurement('', 'worlds.single', {'which': 'numpy', 'seconds': 600});"
+        "one = jobs.Measurement('', 'environments.single', {'which': 'numpy', 'seconds': 600});"
         f"jobs.measure(one, one.arguments, pathlib.Path({str(tmp_path)!r}))"
     )
     process = subprocess.Popen([sys.executable, "-c", command], stdout=subprocess.PIPE, text=True)
@@ -84,7 +86,8 @@ def test_a_job_ends_when_the_one_that_started_it_is_killed(tmp_path):
 
 def test_of_two_processes_that_meet_the_first_waits_for_the_second(tmp_path):
     command = (
-        "import sys, time, pathlib; from uavnav.bench.worlds import _meet; time.sleep(float(sys.argv[1]));"
+        "import sys, time, pathlib; from uavnav.bench.environments import _meet;"
+        " time.sleep(float(sys.argv[1]));"
         f"began = time.time(); _meet(pathlib.Path({str(tmp_path)!r}), '4096', 2); print(began, time.time())"
     )
     both = [
@@ -112,7 +115,7 @@ def test_a_watched_run_of_ours_is_stopped_and_names_its_rate(algorithm, more):
 def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
     pytest.importorskip("stable_baselines3")
     model, config = (
-        training.make_model(training.SB3, algorithm, worlds.make_env("numpy")),
+        training.make_model(training.SB3, algorithm, environments.make_env("numpy")),
         training.settings(algorithm),
     )
     theirs = {
@@ -281,7 +284,7 @@ def stubs(monkeypatch, tmp_path):
         ([], BY_DEFAULT),
         (["--quick"], QUICK),
         (["--only", "memory"], ["memory"]),
-        (["--only", "worlds", "world"], ["world", "worlds"]),
+        (["--only", "tasks", "world"], ["world", "tasks"]),
     ],
 )
 def test_every_mode_writes_its_sections_to_the_end(stubs, words, written):
@@ -293,15 +296,15 @@ def test_every_mode_writes_its_sections_to_the_end(stubs, words, written):
 
 
 def test_two_runs_leave_each_others_sections(stubs):
-    assert commands.run("bench", ["--only", "worlds"]) == 0
-    found = read_sections(Path("docs/benchmarks.md"))["worlds"]
+    assert commands.run("bench", ["--only", "tasks"]) == 0
+    found = read_sections(Path("docs/benchmarks.md"))["tasks"]
     assert commands.run("bench", ["--only", "memory"]) == 0
-    assert list(read_sections(Path("docs/benchmarks.md"))) == ["", "memory", "worlds"]
-    assert read_sections(Path("docs/benchmarks.md"))["worlds"] == found
+    assert list(read_sections(Path("docs/benchmarks.md"))) == ["", "memory", "tasks"]
+    assert read_sections(Path("docs/benchmarks.md"))["tasks"] == found
     assert machine() in found
 
 
-@pytest.mark.parametrize("words", [[], ["--only", "worlds"]])
+@pytest.mark.parametrize("words", [[], ["--only", "tasks"]])
 def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and_marks_it(
     stubs, words, monkeypatch, capsys
 ):

@@ -138,15 +138,15 @@ def test_a_run_replaces_its_own_sections_keeps_the_others_and_leaves_no_file_asi
     path = tmp_path / "docs" / "benchmarks.md"
     path.parent.mkdir()
     path.write_text("old head\n\n<!-- bench: growth -->\n## Growth\n\nmeasured once\n")
-    write_sections(path, {"worlds": ["equal"], "world": ["slow"]})
+    write_sections(path, {"tasks": ["equal"], "world": ["slow"]})
     write_sections(path, {"world": ["fast"]}, "cut short")
     sections = read_sections(path)
-    assert list(sections) == ["", "world", "worlds", "growth"]
+    assert list(sections) == ["", "world", "tasks", "growth"]
     assert sections["growth"] == "## Growth\n\nmeasured once"
-    assert sections["worlds"].endswith("equal")
+    assert sections["tasks"].endswith("equal")
     assert sections["world"].endswith("fast")
     assert "cut short; " in sections["world"]
-    assert page.machine() in sections["worlds"]
+    assert page.machine() in sections["tasks"]
     text = path.read_text()
     assert "slow" not in text
     assert text.startswith("# Benchmarks\n")

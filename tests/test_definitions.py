@@ -328,7 +328,7 @@ def learned(algorithm, n_envs):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from uavnav.bench.worlds import make_env
+    from uavnav.bench.environments import make_env
 
     held, rows = [], []
 

@@ -390,7 +390,7 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
 
 
 @pytest.mark.parametrize(
-    ("trained_in", "flown_in", "beside"),
+    ("trained_in", "evaluated_in", "beside"),
     [
         ({}, {}, True),
         ({}, {"layouts": "validation"}, True),
@@ -406,12 +406,14 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
         ({}, {"faults": "noise=5"}, False),
     ],
 )
-def test_the_papers_column_stands_beside_runs_and_episodes_of_its_place_alone(trained_in, flown_in, beside):
+def test_the_papers_column_stands_beside_runs_and_episodes_of_its_place_alone(
+    trained_in, evaluated_in, beside
+):
     run = types.SimpleNamespace(
         algorithm="ppo", config={"activation": "tanh", "layouts": "train"} | trained_in
     )
-    assert (summary.of_paper(run, flown_in) == TABLES["ppo", "tanh"]) == beside
-    assert bool(summary.of_paper(run, flown_in)) == beside
+    assert (summary.of_paper(run, evaluated_in) == TABLES["ppo", "tanh"]) == beside
+    assert bool(summary.of_paper(run, evaluated_in)) == beside
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_a_file_outside_the_package_trains_stops_resumes_and_goes_through_every_
     for command in (train, *others):
         done = subprocess.run(words(command), cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, (command, done.stderr)
-    assert (tmp_path / "flight.gif").exists()
+    assert (tmp_path / "episode.gif").exists()
     facts = json.loads((tmp_path / RUN / "meta.json").read_text())
     assert list(facts["plugins"]) == ["my_study"]
     assert len(facts["plugins"]["my_study"]) == 64

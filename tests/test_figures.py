@@ -373,12 +373,16 @@ def test_the_rule_is_a_dashed_line_beside_configurations_and_where_there_is_none
         assert [line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == "--"] == [428.0]
     assert drawn.alt.endswith("; scripted policy 428.0.")
     assert "the paper" not in texts(drawn.figure)  # of which there is no number
-    assert style.RULE in texts(drawn.figure)
-    assert style.RULE not in texts(charts.intervals(rows, {}, "reward").figure)
+    assert style.SCRIPTED_NAME in texts(drawn.figure)
+    assert style.SCRIPTED_NAME not in texts(charts.intervals(rows, {}, "reward").figure)
     up = pd.Series([1.0, 1.0], index=[0.0, 100.0])
     (axes,) = charts.survival(
-        {"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.RULE: up}, 100
+        {"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.SCRIPTED_NAME: up}, 100
     ).figure.axes
-    mine, rule, _ = axes.lines
-    assert (mine.get_linestyle(), rule.get_linestyle(), rule.get_label()) == ("-", "--", style.RULE)
-    assert rule.get_ydata().tolist() == [1.0, 1.0]
+    mine, scripted, _ = axes.lines
+    assert (mine.get_linestyle(), scripted.get_linestyle(), scripted.get_label()) == (
+        "-",
+        "--",
+        style.SCRIPTED_NAME,
+    )
+    assert scripted.get_ydata().tolist() == [1.0, 1.0]

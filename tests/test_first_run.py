@@ -137,7 +137,7 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
     ]
     commands = [
         ["evaluate", "runs/ppo", "random", *small],
-        ["render", "runs/ppo", "reactive", "--steps", 20, "--out", "flight.gif"],
+        ["render", "runs/ppo", "reactive", "--steps", 20, "--out", "episode.gif"],
         ["verify", "runs/ppo", "--frames", 2048],
         ["export", "runs/ppo", "--out", "policy.pt2"],
         ["layouts", "--n", 5],
@@ -148,7 +148,7 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
     if importlib.util.find_spec("onnxscript"):
         commands.append(["export", "runs/ppo", "--out", "policy.onnx"])
     if importlib.util.find_spec("av"):
-        commands.append(["render", "runs/ppo", "--steps", 20, "--out", "flight.mp4"])
+        commands.append(["render", "runs/ppo", "--steps", 20, "--out", "episode.mp4"])
     commands.append(["play", "runs/ppo"])
     words = [
         [str(word) for word in command]

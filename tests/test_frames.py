@@ -411,7 +411,7 @@ def test_a_reading_is_worked_out_once(monkeypatch):
     assert len(asked) == 2
 
 
-# -- gaps to the rule, effects, peaks, fits, sizes of studies ------------------------------------------------
+# -- gaps to `reactive`, effects, peaks, fits, sizes of studies ----------------------------------------------
 
 KEY = ("dqn", "sigmoid")
 
@@ -434,11 +434,11 @@ def in_stretches(*seeds, frames=1_000_000, key=KEY, **more):
     )
 
 
-RULE = on_sets((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
+REACTIVE = on_sets((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
 
 
 def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_students_interval():
-    """Seed 0 is 10 and 30 below the rule, seed 1 20 above and 0: gaps of -20 and 10, which differ by 30."""
+    """Seed 0 is 10 and 30 below `reactive`, seed 1 20 above and 0: gaps of -20 and 10, which differ by 30."""
     mine = [
         (0, 0, 100, 30.0, True),
         (0, 1, 50, 30.0, False),
@@ -447,17 +447,23 @@ def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_studen
     ]
     greedy = [(0, 0, 100, 40.0, True)]
     flown = pd.concat([on_sets(*mine).assign(mode="sampled"), on_sets(*greedy).assign(mode="greedy")])
-    rule, first, second = frames.gaps({KEY: in_stretches([0.0], flown=flown)}, {"reactive": RULE}).to_dict(
-        "records"
-    )
-    assert (rule["who"], rule["reward"], rule["up"], rule["per_frame"], rule["limit"]) == (
+    reactive, first, second = frames.gaps(
+        {KEY: in_stretches([0.0], flown=flown)}, {"reactive": REACTIVE}
+    ).to_dict("records")
+    assert (
+        reactive["who"],
+        reactive["reward"],
+        reactive["truncated"],
+        reactive["per_frame"],
+        reactive["limit"],
+    ) == (
         "reactive",
         50,
         1,
         0.5,
         100,
     )
-    assert np.isnan([rule["gap"], rule["above"], rule["low"]]).all()
+    assert np.isnan([reactive["gap"], reactive["above"], reactive["low"]]).all()
     assert (first["mode"], first["gap"], first["n"], first["above"]) == ("greedy", 0, 1, 0)
     assert np.isnan(first["gap_low"])
     assert (second["who"], second["mode"], second["n"], second["episodes"]) == (
@@ -466,7 +472,7 @@ def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_studen
         2,
         4,
     )
-    assert (second["reward"], second["up"], second["gap"], second["above"]) == (45, 0.75, -5, 0.5)
+    assert (second["reward"], second["truncated"], second["gap"], second["above"]) == (45, 0.75, -5, 0.5)
     half = 12.706 * 15  # t with one degree of freedom, times 30 / 2
     assert (second["gap_low"], second["gap_high"]) == pytest.approx((-5 - half, -5 + half), rel=1e-4)
     assert second["per_frame"] == pytest.approx((60 / 150 + 120 / 200) / 2)
@@ -476,12 +482,12 @@ def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_studen
     "mine",
     [
         [(0, 0, 40, 30.0, True)],  # below another time limit
-        [(0, 2, 100, 30.0, True)],  # on a set that the rule did not fly
+        [(0, 2, 100, 30.0, True)],  # on a layout that `reactive` did not fly
     ],
 )
 def test_episodes_of_another_test_have_no_gap(mine):
     own = in_stretches([0.0], flown=on_sets(*mine).assign(mode="sampled"))
-    found = frames.gaps({KEY: own}, {"reactive": RULE})
+    found = frames.gaps({KEY: own}, {"reactive": REACTIVE})
     assert found["gap"].isna().all()
     assert found["reward"].tolist() == [50, 30]
     assert frames.gaps({KEY: own}, {})["gap"].isna().all()

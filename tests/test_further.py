@@ -13,7 +13,7 @@ from uavnav import stats, studies
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
 from uavnav.report import activations, ambiguities, horizon, learned, longer, noise
-from uavnav.report.apart import Flight, flights
+from uavnav.report.apart import Evaluated, evaluations
 from uavnav.runs import Run, draws, paper
 from uavnav.studies import search
 from uavnav.studies.draws import plan
@@ -22,14 +22,14 @@ WIDE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 """Deviations of five seeds from their mean."""
 
 
-def flight(reward, algorithm="ppo", settings="fast", frames=1, gamma=0.99, scripted=24.0, **how):
+def five_seeds(reward, algorithm="ppo", settings="fast", frames=1, gamma=0.99, scripted=24.0, **how):
     """How five seeds of a configuration flew: one episode each, all of them to the time limit."""
     config = {"activation": "tanh", "total_frames": frames, "gamma": gamma}
     path = Path(settings, algorithm, "tanh")
     run = SimpleNamespace(path=path, algorithm=algorithm, config=config, frames=frames)
     how = {"layouts": "test", "max_steps": 10, "at": 1.0} | how
     rows = pd.DataFrame({"seed": range(5), "truncated": True})
-    return Flight(f"{algorithm} tanh", run, how, rows, reward, scripted, reward - scripted)
+    return Evaluated(f"{algorithm} tanh", run, how, rows, reward, scripted, reward - scripted)
 
 
 def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layouts():
@@ -37,7 +37,7 @@ def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layou
     judged = {("fast", "ppo"): 24.0, ("default", "ppo"): 40.0, ("fast", "dqn"): 12.0, ("tuned", "dqn"): 50.0}
     table = longer.table(
         [
-            flight(mean + WIDE, algorithm, settings, layouts=layouts)
+            five_seeds(mean + WIDE, algorithm, settings, layouts=layouts)
             for layouts, told in (("validation", better), ("test", judged))
             for (settings, algorithm), mean in told.items()
         ]
@@ -52,7 +52,7 @@ def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layou
 
 def test_a_gain_is_seed_by_seed_over_the_length_before():
     short, long = 100 + 50 * WIDE, 120 + 50 * WIDE + 0.1 * WIDE[::-1]
-    table = longer.table([flight(short), flight(long, frames=3)]).set_index("frames")
+    table = longer.table([five_seeds(short), five_seeds(long, frames=3)]).set_index("frames")
     assert table.loc[3, "gain"] == pytest.approx(20)
     assert table.loc[3, "gain_high"] - 20 == pytest.approx(2.776 * 0.1 * np.sqrt(2.5 / 5), abs=1e-3)
     assert (table.loc[1, "trend"], table.loc[3, "trend"]) == ("", "rises")
@@ -89,9 +89,9 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
     for trained, reward in ((0.0, 1.0), (5.0, 4.0)):
         faults = {"noise": trained, "lost": 0.0, "late": 0, "sticky": 0.0}
         evaluated(tmp_path / f"noise/{trained:g}/ppo/tanh", reward, protocol, faults=faults)
-    rule = rows(0, (9, 9, 0, 0, 0, 9, 2.0), (9, 9, 0, 0, 0, 9, 3.0)).assign(layout=[0, 1])
-    kept(tmp_path / "noise/baselines", protocol.file("reactive"), rule, protocol)
-    found, left_out = flights([tmp_path], "noise")
+    reactive = rows(0, (9, 9, 0, 0, 0, 9, 2.0), (9, 9, 0, 0, 0, 9, 3.0)).assign(layout=[0, 1])
+    kept(tmp_path / "noise/baselines", protocol.file("reactive"), reactive, protocol)
+    found, left_out = evaluations([tmp_path], "noise")
     table = noise.table(found).set_index(["who", "trained"])
     assert left_out == []
     assert table.loc[("PPO tanh", 5.0), ["flown", "value", "gap", "gain", "above"]].tolist() == [
@@ -108,14 +108,14 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
 
 def test_folders_without_these_studies_have_no_tables(tmp_path):
     assert [study.gather([tmp_path]) for study in (ambiguities, activations, learned)] == [({}, [])] * 3
-    assert [flights([tmp_path], study.STUDY) for study in (longer, noise, horizon)] == [([], [])] * 3
+    assert [evaluations([tmp_path], study.STUDY) for study in (longer, noise, horizon)] == [([], [])] * 3
 
 
 def test_scripted_policies_without_a_run_are_no_study(tmp_path):
     protocol = Protocol("test", 1, 9)
     kept(tmp_path / "noise/baselines", protocol.file("reactive"), rows(0, (9, 9, 0, 0, 0, 9, 2.0)), protocol)
     write_run(tmp_path / "noise/ppo/tanh", rows(0, (9, 9, 0, 0, 0, 9, 1.0)))  # which has flown no episode
-    assert flights([tmp_path], "noise") == ([], [])
+    assert evaluations([tmp_path], "noise") == ([], [])
 
 
 def test_mahalanobis_distance_by_hand():
@@ -319,8 +319,8 @@ def test_runs_of_the_study_become_means_over_seeds_of_training_final_policies_an
 
 
 def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps():
-    flown = [flight(100 + WIDE, frames=10), flight(104 + WIDE, frames=10, gamma=0.998, scripted=95.0)]
-    later = flight(90 + WIDE, frames=20, gamma=0.998)
+    flown = [five_seeds(100 + WIDE, frames=10), five_seeds(104 + WIDE, frames=10, gamma=0.998, scripted=95.0)]
+    later = five_seeds(90 + WIDE, frames=20, gamma=0.998)
     later.rows["truncated"] = [True, True, True, False, False]
     table = horizon.table([*flown, later]).set_index(["frames", "gamma"])
     half = 2.306 * np.sqrt(2.5 / 5 + 2.5 / 5)  # t of 8 degrees of freedom
@@ -352,8 +352,13 @@ def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_sc
         {"place": "drone", "who": "PPO best", "value": 5.5, "n": 2, "collisions": 111.111, "left": 0}
         | {"gain": 1.5, "gain_low": -4.853, "gain_high": 7.853}  # ± 12.706 x 0.5
     ]
-    assert ahead.loc[False, ["rule", "scripted", "gap", "verdict"]].tolist() == ["dwa", 5.0, 0.5, "open"]
-    assert ahead.loc[True, ["rule", "gap", "verdict"]].tolist() == ["reactive", 15.0, "learned"]
+    assert ahead.loc[False, ["best_scripted", "scripted", "gap", "verdict"]].tolist() == [
+        "dwa",
+        5.0,
+        0.5,
+        "open",
+    ]
+    assert ahead.loc[True, ["best_scripted", "gap", "verdict"]].tolist() == ["reactive", 15.0, "learned"]
     assert ahead.loc[False, "gap_high"] == pytest.approx(0.5 + 12.706 / 2, abs=1e-3)
     danger = tables["learned"].query("measure == 'danger'")
     assert (danger["value"] == 50).all()

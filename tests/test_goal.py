@@ -136,12 +136,12 @@ def test_a_goal_behind_a_closed_ring_of_circles_is_never_drawn():
 @pytest.mark.parametrize(
     ("all_layouts", "says"),
     [
-        (one(x=790.0), "the goal of set 0 is nearer than 60 px to an edge"),
-        (one(x=450.0), "the goal of set 0 is nearer than 200 px to the start"),
-        (one(circles=[(600.0, 400.0, 50.0)]), "the goal of set 0 is nearer than 60 px to an edge"),
-        (one(shortest=-1.0), "the goal of set 0 has a way of less than 0 px"),
-        (one(y=math.nan), "the goal of set 0 is not finite"),
-        (one(circles=[(400.0, 300.0, 50.0)]), "obstacle 0 of set 0 is nearer than 50 px to the start"),
+        (one(x=790.0), "the goal of layout 0 is nearer than 60 px to an edge"),
+        (one(x=450.0), "the goal of layout 0 is nearer than 200 px to the start"),
+        (one(circles=[(600.0, 400.0, 50.0)]), "the goal of layout 0 is nearer than 60 px to an edge"),
+        (one(shortest=-1.0), "the goal of layout 0 has a way of less than 0 px"),
+        (one(y=math.nan), "the goal of layout 0 is not finite"),
+        (one(circles=[(400.0, 300.0, 50.0)]), "obstacle 0 of layout 0 is nearer than 50 px to the start"),
         (torch.zeros(1, 0, 3), "layouts have the shape [n > 0, k + 1, 3], not [1, 0, 3]"),
     ],
 )

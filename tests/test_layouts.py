@@ -162,7 +162,7 @@ def test_a_header_has_the_fields_of_every_world_that_its_sets_were_drawn_by_and_
 def test_an_invalid_split_is_not_written(tmp_path):
     all_layouts = layouts.generate(20, 4)
     all_layouts[3, 1] = torch.tensor([400.0, 420.0, 80.0])  # its edge is 40 px from the start
-    with pytest.raises(uavnav.LayoutError, match="obstacle 1 of set 3"):
+    with pytest.raises(uavnav.LayoutError, match="obstacle 1 of layout 3"):
         layouts.save(all_layouts, tmp_path / "layouts", seed=0, split="train")
     assert list(tmp_path.iterdir()) == []
 

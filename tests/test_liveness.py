@@ -101,10 +101,10 @@ def study(tmp_path, warm):
     """Carries one configuration out on an engine; gives the configurations that failed and what was said."""
     engines = []
 
-    def carry_out(engine, config=CONFIG, flights=(FLOWN,), **how):
+    def carry_out(engine, config=CONFIG, evaluations=(FLOWN,), **how):
         engines.append(engine)
         said = []
-        configuration = Configuration(config, tmp_path / "out" / "ppo" / "tanh", flights)
+        configuration = Configuration(config, tmp_path / "out" / "ppo" / "tanh", evaluations)
         failed = Runner(tmp_path / "out", [configuration], engine, say=said.append, **how).run()
         return failed, said
 
@@ -216,7 +216,7 @@ def test_a_job_that_an_engine_does_not_begin_is_given_again_as_often_as_needed(s
         return self.file("log").exists() or engine.free
 
     monkeypatch.setattr(run.Job, "begun", property(begin))
-    failed, said = study(engine, seeds_per_worker=2, flights=())
+    failed, said = study(engine, seeds_per_worker=2, evaluations=())
     assert (failed, engine.given) == ([], 2 + run.ATTEMPTS)
     assert sum("has not begun for" in line for line in said) == 1 + run.ATTEMPTS
 
@@ -280,7 +280,7 @@ def test_an_engine_that_is_slow_now_and_then_ends_no_job(study, monkeypatch):
 
     impatient(monkeypatch, ANSWER=6.0, IDLE=60.0)
     engine = Slow()
-    failed, said = study(engine, seeds_per_worker=2, flights=())
+    failed, said = study(engine, seeds_per_worker=2, evaluations=())
     assert (failed, engine.given) == ([], 1)
     assert len(said) == 1
 

@@ -197,9 +197,9 @@ def test_files_of_moving_obstacles_say_how_they_were_drawn_and_fly_in_their_worl
         ({"layouts": circles.generate(2, 3)}, "layouts have the shape [n > 0, k, 5], not [2, 3, 3]"),
         (
             {"layouts": torch.tensor([[[-1.0, 0, 30, 0, 0]]])},
-            "obstacle 0 of set 0 has its centre outside the window",
+            "obstacle 0 of layout 0 has its centre outside the window",
         ),
-        ({"layouts": torch.tensor([[[0.0, 0, 30, 0, torch.nan]]])}, "obstacle 0 of set 0 is not finite"),
+        ({"layouts": torch.tensor([[[0.0, 0, 30, 0, torch.nan]]])}, "obstacle 0 of layout 0 is not finite"),
     ],
 )
 def test_each_wrong_part_is_refused_in_one_line(arguments, says):

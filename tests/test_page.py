@@ -157,6 +157,7 @@ def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(brow
     for name, link in zip(SHOWN, links, strict=True):
         browser.execute_script("arguments[0].click()", link)
         assert name == "verdicts" or one(browser, f"#{name} details").get_property("open"), name
+        assert not find(browser, ".claim[open]")
         top = browser.execute_script(
             "return document.getElementById(arguments[0]).getBoundingClientRect().top", name
         )

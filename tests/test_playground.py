@@ -46,10 +46,10 @@ const packed = (numbers) => {
 SENSED = (
     PACKED
     + """
-const [name, poses, sets] = arguments;
+const [name, poses, shown] = arguments;
 const task = new TASKS[name](playground.data.tasks[name]);
 const at = ([x, y, heading, , steps]) => ({ x, y, heading, steps, waited: 0 });
-const seen = poses.map((pose) => task.observe(at(pose), sets[pose[3]]));
+const seen = poses.map((pose) => task.observe(at(pose), shown[pose[3]]));
 return [packed(seen.flatMap(({ observation }) => [...observation])),
   packed(seen.map(({ clearance }) => clearance))];
 """
@@ -57,14 +57,14 @@ return [packed(seen.flatMap(({ observation }) => [...observation])),
 FLOWN = (
     PACKED
     + """
-const [name, episodes, sets, limit, faults] = arguments;
+const [name, episodes, shown, limit, faults] = arguments;
 const task = new TASKS[name]({ ...playground.data.tasks[name], max_steps: limit }, faults ?? NO_FAULTS);
 return episodes.map(([place, actions, draws]) => {
-  let state = task.start(sets[place], draws?.[0]);
+  let state = task.start(shown[place], draws?.[0]);
   const rows = [];
-  const seen = [...task.observe(state, sets[place]).observation];
+  const seen = [...task.observe(state, shown[place]).observation];
   actions.forEach((action, nth) => {
-    const after = task.step(state, action, sets[place], draws?.[nth + 1]);
+    const after = task.step(state, action, shown[place], draws?.[nth + 1]);
     state = after.state;
     rows.push(state.x, state.y, state.heading, after.clearance, state.reward);
     rows.push(Number(after.ended === "collision"));
@@ -114,8 +114,8 @@ def task(request):
     return whole.replace(layouts=whole.layouts[:SETS])
 
 
-def sets_of(task):
-    """A layout file as world.js has sets."""
+def layouts_of(task):
+    """A layout file as world.js has them."""
     rows = task.layouts.double().tolist()
     return [
         {"circles": one[:-1], "goal": one[-1][:2]} if name_of(task) == "goal" else {"circles": one}
@@ -149,7 +149,7 @@ def test_2000_poses_are_sensed_as_by_python_within_a_ten_thousandth(chrome, open
         [state.x.double(), state.y.double(), state.heading, state.layout, state.steps], 1
     ).tolist()
     rows = [[*row[:2], *map(int, row[2:])] for row in rows]
-    mine, near = chrome.execute_script(SENSED, name_of(task), rows, sets_of(task))
+    mine, near = chrome.execute_script(SENSED, name_of(task), rows, layouts_of(task))
     assert (unpacked(mine, *seen.shape) - seen).abs().max() <= CLOSE
     assert (unpacked(near, POSES) - clearance).abs().max() <= CLOSE
     filled = (seen[:, 2:30:3] < 1).sum(1)
@@ -172,8 +172,8 @@ def test_every_cosine_and_every_action_is_pythons(chrome, opened):
 
 
 def committed():
-    """Episodes of the eight configurations, six each, and two that scripts fly: [set, actions]; and the
-    rows of the configurations'.
+    """Episodes of the eight configurations, six each, and two of scripted policies: [layout, actions]; and
+    the rows of the configurations'.
     """
     episodes, rows = [], []
     for configuration in CONFIGURATIONS:
@@ -206,7 +206,7 @@ def in_order(observations):
 
 
 def in_python(task, places, actions, draws=None):
-    """Episodes of given actions [F, T] on sets [F] until all have ended: observations, poses, counts,
+    """Episodes of given actions [F, T] on shown [F] until all have ended: observations, poses, counts,
     ends [F, time].
     """
     state = task.start(places, torch.full_like(places, 90), None if draws is None else draws[:, 0])
@@ -236,7 +236,7 @@ def test_50_episodes_of_committed_actions_are_flown_as_by_python_and_end_as_thei
     seen, poses, counts, ends = in_python(task, places, padded)
     last = torch.where(ends.any(1), ends.int().argmax(1) + 1, ends.shape[1]).tolist()
     episodes = [[place, actions[:end]] for (place, actions), end in zip(given, last, strict=True)]
-    found = chrome.execute_script(FLOWN, name_of(task), episodes, sets_of(task), task.max_steps)
+    found = chrome.execute_script(FLOWN, name_of(task), episodes, layouts_of(task), task.max_steps)
     assert len(episodes) == len(found) == 50
     observed = swapped = crashed = 0
     for place, ((_, actions), (mine, sensed, metrics)) in enumerate(zip(episodes, found, strict=True)):
@@ -285,8 +285,8 @@ def test_policies_choose_as_in_python_in_999_of_1000_poses_and_reactive_in_all(
         acted = policy.choose(expected, numbers)
         assert (torch.tensor(sampled) == acted).float().mean() >= 0.999
         assert (acted != expected.argmax(-1)).float().mean() > 0.01
-    rule = "arguments[0].map((one) => reactive(playground.world, Float32Array.from(one)))"
-    mine = chrome.execute_script(f"return {rule}", seen.double().tolist())
+    words = "arguments[0].map((one) => reactive(playground.world, Float32Array.from(one)))"
+    mine = chrome.execute_script(f"return {words}", seen.double().tolist())
     assert mine == BASELINES["reactive"](seen).tolist()
     assert len({*mine}) == 2
 
@@ -369,7 +369,7 @@ def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, o
     seen, poses, _, ends = in_python(task, torch.arange(20), actions, draws)
     last = torch.where(ends.any(1), ends.int().argmax(1) + 1, 60).tolist()
     episodes = [[n, actions[n, :end].tolist(), draws[n].double().tolist()] for n, end in enumerate(last)]
-    found = chrome.execute_script(FLOWN, name, episodes, sets_of(task), task.max_steps, FAULTS)
+    found = chrome.execute_script(FLOWN, name, episodes, layouts_of(task), task.max_steps, FAULTS)
     for n, (end, (mine, sensed, _)) in enumerate(zip(last, found, strict=True)):
         assert (unpacked(mine, end, 8) - poses[n, :end]).abs().max() <= CLOSE
         here, there = unpacked(sensed, end + 1, seen.shape[-1]), seen[n, : end + 1]
@@ -401,11 +401,11 @@ def test_scripts_in_all_worlds_choose_as_in_python_in_999_of_1000_poses(chrome, 
     assert len(mine.unique()) >= 10
 
 
-def made(browser, world, n, **scene):
-    """The sets 0 to n - 1 of a world."""
+def made(browser, task, n, **scene):
+    """The random layouts 0 to n - 1 of a task."""
     words = "const [name, n, scene] = arguments; const task = new TASKS[name](playground.data.tasks[name]);"
-    words += "return Array.from({ length: n }, (_, set) => task.generate({ ...scene, set }));"
-    return browser.execute_script(words, world, n, scene)
+    words += "return Array.from({ length: n }, (_, layout) => task.generate({ ...scene, layout }));"
+    return browser.execute_script(words, task, n, scene)
 
 
 @pytest.mark.parametrize("gap", [70, 160])

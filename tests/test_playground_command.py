@@ -73,7 +73,7 @@ def test_a_policy_of_another_world_or_in_3d_is_left_out_in_a_line_and_refused_wh
     status, out, err = told([tmp_path, "--out", tmp_path / "page.html"], capsys)
     assert status == 0
     assert out.endswith(": policies: 1; open it in a browser\n")
-    watch = f"watch it: uavnav render {tmp_path / 'there'} --out flight.gif"
+    watch = f"watch it: uavnav render {tmp_path / 'there'} --out episode.gif"
     why = "trained in another task than the playground's"
     line = f"{tmp_path / 'there'}: {why}; {watch}\n"
     assert err == f"uavnav playground: left out: {line}"
@@ -82,7 +82,7 @@ def test_a_policy_of_another_world_or_in_3d_is_left_out_in_a_line_and_refused_wh
     assert main(["play", "--task", "space"]) == 2
     assert capsys.readouterr().err == (
         "uavnav play: --task space: the playground has no such task; "
-        "watch it: uavnav render reactive --task space --out flight.gif\n"
+        "watch it: uavnav render reactive --task space --out episode.gif\n"
     )
 
 

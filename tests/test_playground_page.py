@@ -37,7 +37,7 @@ from uavnav.runs.metrics import METRICS, per_episode
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.table import make_task
-from uavnav.views.browser.playground import SCRIPTED, SETTINGS, WORLDS, Opening, collect, page
+from uavnav.views.browser.playground import SCRIPTED, SETTINGS, TITLES, Opening, collect, page
 
 pytestmark = pytest.mark.slow
 
@@ -60,12 +60,12 @@ def browser(chrome, opened):
 # -- links ---------------------------------------------------------------------------------------------------
 
 SCENE = (
-    "world=drone&layouts=test&layout=12&circles=100_100.5_40~700_500_99.9&pilots=reactive~ppo-tanh-0~nobody~you"
+    "task=drone&layouts=test&layout=12&circles=100_100.5_40~700_500_99.9&pilots=reactive~ppo-tanh-0~nobody~you"
     "&focus=4&speed=0.25&greedy=yes&seed=9"
 )
 WRITTEN = "writeLink({ ...playground.scene, circles: playground.race.circles }, playground.data.settings)"
 BAD = (
-    *("world=mars", "world=toString", "gap=65", "gap=121", "pace=2.25", "noise=21", "late=1.5", "lost=-1"),
+    *("task=mars", "task=toString", "gap=65", "gap=121", "pace=2.25", "noise=21", "late=1.5", "lost=-1"),
     "sticky=<b>",
     *(
         "layout=-1",
@@ -96,7 +96,7 @@ def test_a_link_restores_its_scene_and_the_same_episodes(browser, opened):
         visit(browser, opened, f"#{SCENE}")
         assert ask(browser, "playground.scene") == {
             **{name: one.first for name, one in SETTINGS.items()},
-            "world": "drone", "layouts": "test", "layout": 12, "k": 8,
+            "task": "drone", "layouts": "test", "layout": 12, "k": 8,
             "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
             "pilots": ["reactive", "ppo-tanh-0", "nobody", "you"], "focus": 4,
             "speed": 0.25, "greedy": True, "seed": 9,
@@ -200,9 +200,9 @@ def test_time_stops_steps_and_starts_again_by_keys_alone(browser):
     there = drone(browser, 1)["steps"]
     press(browser, ".")
     assert drone(browser, 1)["steps"] == there + 1
-    assert f"2, PPO tanh: flies, step {there + 1}, reward " in one(browser, "#status").get_property(
-        "textContent"
-    )
+    told = one(browser, "#status").get_property("textContent")
+    assert f"2, PPO tanh: flies, step {there + 1}, reward " in told
+    assert told.startswith("1, You keys: waits, step 0, ")
     press(browser, "-", "-", "+")
     assert Select(one(browser, "#speed")).first_selected_option.text == "0.5×"
     press(browser, "r")
@@ -363,6 +363,94 @@ def test_a_crash_stays_with_the_pilot_that_had_it_whoever_has_the_drone_next(bro
     ]
 
 
+def test_a_drone_that_nobody_had_can_be_taken_and_handed_back(browser, opened):
+    visit(browser, opened, "#pilots=you~ppo-tanh-0~dqn-tanh-0~nobody")
+    for pilots in (["reactive", "ppo-tanh-0", "dqn-tanh-0", "you"], ["reactive"]):
+        press(browser, "4", "t")
+        assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)")[-len(pilots) :] == pilots
+    press(browser, "2", "t", "t")
+    assert ask(browser, "playground.race.drones[1].pilot") == "ppo-tanh-0"
+
+
+def test_who_waits_can_still_fly_once_all_others_have_crashed_and_step_flies_who_is_alone(browser, opened):
+    visit(browser, opened, "#pilots=you~straight~straight~nobody")
+    steps(browser, 60)
+    assert states(browser)[:3] == ["waiting", "crashed", "crashed"]
+    press(browser, Keys.ARROW_UP)
+    wait(browser, lambda: drone(browser)["steps"] > 1)
+    assert not one(browser, "#banner").is_displayed()
+    visit(browser, opened, "#pilots=you~nobody~nobody~nobody")
+    one(browser, "#one-step").click()
+    assert drone(browser)["steps"] == 1
+
+
+def test_a_key_that_was_tapped_after_a_crash_turns_nobody_in_the_next_race(browser, opened):
+    visit(browser, opened, "#pilots=you~nobody~nobody~nobody&layout=0")
+    press(browser, *([Keys.ARROW_UP] * 9))
+    wait(browser, lambda: one(browser, "#banner-again").is_displayed(), 20)
+    press(browser, Keys.ARROW_LEFT, "r", Keys.ARROW_UP)
+    wait(browser, lambda: drone(browser)["steps"] > 2)
+    assert drone(browser)["heading"] == 90
+
+
+def test_a_key_that_is_held_down_toggles_once_and_steps_again_and_again(browser):
+    held = "['keydown', 1, 2, 3].forEach((_, nth) => document.body.dispatchEvent("
+    held += "new KeyboardEvent('keydown', { key: arguments[0], repeat: nth > 0, bubbles: true })));"
+    browser.execute_script(held, " ")
+    assert ask(browser, "playground.playing")
+    browser.execute_script(held, " ")
+    assert not ask(browser, "playground.playing")
+    there = ask(browser, "playground.race.steps")
+    browser.execute_script(held, ".")
+    assert ask(browser, "playground.race.steps") == there + 4
+
+
+def test_a_number_that_is_half_typed_stays_when_a_drone_crashes(browser, opened):
+    visit(browser, opened, "#pilots=straight~reactive~nobody~nobody")
+    one(browser, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, "7")
+    steps(browser, 60)
+    assert states(browser)[:2] == ["crashed", "flying"]
+    assert (one(browser, "#seed").get_property("value"), ask(browser, "playground.scene.seed")) == ("7", 0)
+
+
+def test_a_drag_ends_with_the_circle_that_it_held(browser, opened):
+    """Also where a key deletes it, begins again, or ends the drawing: no other circle is moved."""
+    other = [650, 450, 40]
+
+    def mouse(kind, *at):
+        (x, y), buttons = on_screen(browser, *at), int(kind != "mouseReleased")
+        event = {"type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1}
+        browser.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+    for key, left in ((Keys.DELETE, []), ("r", [[160, 160, 40]]), ("e", [[160, 160, 40]])):
+        visit(browser, opened)
+        one(browser, "#draw").click()
+        browser.execute_script("playground.edit([[150, 150, 40], arguments[0]], 0)", other)
+        mouse("mousePressed", 150, 150)
+        mouse("mouseMoved", 160, 160)
+        press(browser, key)
+        mouse("mouseMoved", 200, 200)
+        mouse("mouseReleased", 200, 200)
+        expected = [pytest.approx(circle, abs=1) for circle in [*left, other]]
+        assert ask(browser, "playground.race.circles") == expected
+
+
+def test_an_added_circle_is_a_new_one_and_where_none_can_be_the_page_says_what_stays_free(browser, opened):
+    one(browser, "#draw").click()
+    one(browser, "#add").click()
+    press(browser, "]")  # the first again
+    one(browser, "#remove").click()
+    one(browser, "#add").click()
+    circles = ask(browser, "playground.race.circles")
+    assert len(circles) == len({tuple(circle) for circle in circles}) == 9
+    press(browser, "r", "[")
+    assert ask(browser, "playground.stage.selected") == 8
+    for fragment, words in (("", "the start"), ("#task=goal", "the start and the goal")):
+        visit(browser, opened, fragment)
+        browser.execute_script("playground.add([400, 300, 50])")
+        assert one(browser, "#notice").text == f"Not there: {words} must stay free."
+
+
 # -- layouts, and what leaves the page -----------------------------------------------------------------------
 
 
@@ -373,14 +461,30 @@ def test_layouts_are_those_of_the_splits_by_number_and_sliders_draw_others(brows
         assert ask(browser, "playground.race.circles") == layouts.load(split)[number].double().tolist()
     press(browser, Keys.ESCAPE, "n")
     assert ask(browser, "playground.scene.layout") == 21
+    visit(browser, opened, "#layouts=test&layout=0")
+    for key, number in (("p", 199), ("n", 0)):
+        press(browser, key)
+        assert ask(browser, "playground.scene.layout") == number
+    assert one(browser, "#layout").get_attribute("max") == "199"
     for world in ("moving", "goal"):
-        visit(browser, opened, f"#world={world}&layouts=test&layout=7")
+        visit(browser, opened, f"#task={world}&layouts=test&layout=7")
         rows = make_task("test", task=world).layouts[7].double().tolist()
-        found = ask(browser, "playground.race.set")
+        found = ask(browser, "playground.race.layout")
         assert found["circles"] == (rows[:-1] if world == "goal" else rows)
         assert found.get("goal") == (rows[-1][:2] if world == "goal" else None)
     slide(browser, "k", 5)
     assert ask(browser, "[playground.scene.layouts, playground.race.circles.length]") == ["random", 5]
+
+
+@pytest.mark.parametrize("task", TITLES)
+def test_random_layouts_of_other_numbers_are_other_layouts_and_of_the_same_number_the_same(
+    task, browser, opened
+):
+    drawn = []
+    for number in (4, 5, 4):
+        visit(browser, opened, f"#task={task}&layouts=random&layout={number}&k=8")
+        drawn.append(ask(browser, "playground.race.layout"))
+    assert drawn[0] == drawn[2] != drawn[1]
 
 
 @pytest.fixture
@@ -418,9 +522,10 @@ def test_episodes_by_hand_are_kept_and_shown_by_a_report(browser, opened, downlo
 
 
 def test_only_whole_episodes_by_hand_on_test_layouts_as_they_are_can_be_kept(browser, opened):
-    kept = "rowOf(playground.race, { ...playground.race.drones[0], ended: 'collision' }) !== undefined"
+    drone = "{ ...playground.race.drones[0], ended: 'collision' }"
+    kept = f"rowOf(playground.race, {drone}, playground.data.limit) !== undefined"
     for fragment, expected in {
-        "": True, "layouts=train": False, "sticky=0.5": False, "world=moving": False, "circles=none": False,
+        "": True, "layouts=train": False, "sticky=0.5": False, "task=moving": False, "circles=none": False,
         "pilots=reactive~you~nobody~nobody": False,
     }.items():  # fmt: skip
         visit(browser, opened, f"#{fragment}")
@@ -432,19 +537,50 @@ def test_only_whole_episodes_by_hand_on_test_layouts_as_they_are_can_be_kept(bro
     assert not ask(browser, kept)  # another one began it
 
 
+def test_an_episode_under_another_time_limit_is_not_offered_to_keep(chrome, tmp_path):
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect(["reactive"]), Opening(max_steps=20)))
+    visit(chrome, path, "#pilots=you~nobody~nobody~nobody")
+    press(chrome, Keys.ARROW_UP)
+    steps(chrome, 20)
+    assert states(chrome)[0] == "time limit"
+    assert ask(chrome, "playground.rows") == []
+    assert not one(chrome, "#banner-keep").is_displayed()
+
+
+def test_a_rung_of_the_slalom_has_only_the_circles_that_are_there_and_its_link_restores_a_drawing(
+    chrome, tmp_path
+):
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect(["reactive"]), Opening("slalom-80/test", 3)))
+    visit(chrome, path)
+    there = layouts.load("slalom-80/test")[3]
+    expected = there[there[:, 0] >= 0].double().tolist()
+    assert ask(chrome, "playground.race.circles") == expected
+    assert one(chrome, "#k-now").text == str(len(expected)) < "48"
+    one(chrome, "#draw").click()
+    one(chrome, "#add").click()
+    drawn = ask(chrome, "playground.race.circles")
+    assert len(drawn) == len(expected) + 1
+    wait(chrome, lambda: "circles=" in chrome.current_url)
+    visit(chrome, path, f"#{chrome.current_url.partition('#')[2]}")
+    assert not one(chrome, "#notice").is_displayed()
+    assert ask(chrome, "playground.race.circles") == [pytest.approx(circle, abs=0.06) for circle in drawn]
+
+
 @pytest.mark.parametrize("world", ["drone", "moving"])
 def test_a_saved_layout_is_one_that_every_command_reads(world, browser, opened, downloads):
-    visit(browser, opened, f"#world={world}&layout=5")
+    visit(browser, opened, f"#task={world}&layout=5")
     one(browser, "#draw").click()
     one(browser, "#add").click()
-    drawn = ask(browser, "playground.race.set.circles")
+    drawn = ask(browser, "playground.race.layout.circles")
     press(browser, "b")
     path = downloads / "own.safetensors"
     wait(browser, path.exists)
     (saved,) = make_task(path, task=world).layouts
     assert saved.double().tolist() == drawn
     assert len(saved) == 9
-    visit(browser, opened, "#world=goal")
+    visit(browser, opened, "#task=goal")
     press(browser, "b")
     assert one(browser, "#notice").text.startswith("Only layouts with obstacles and without a goal")
 
@@ -454,7 +590,7 @@ def test_a_saved_layout_is_one_that_every_command_reads(world, browser, opened, 
 
 @pytest.mark.parametrize(
     ("width", "colours", "fragment"),
-    [(WIDE, "light", "#world=goal&lost=0.1"), (NARROW, "dark", "#world=moving")],
+    [(WIDE, "light", "#task=goal&lost=0.1"), (NARROW, "dark", "#task=moving")],
 )
 def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(
     browser, opened, width, colours, fragment
@@ -470,6 +606,13 @@ def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(
         if control.is_displayed():
             assert control.rect["x"] + control.rect["width"] <= width
             assert control.rect["height"] >= 18
+
+
+def test_pictures_have_as_many_pixels_as_their_places_whatever_the_size_of_the_window(browser):
+    sizes = "[...document.querySelectorAll('canvas')].map((one) => [one.width, one.clientWidth])"
+    for height in (700, 760, 850):  # the instruments are higher than the arena, and so is the page
+        resize(browser, WIDE, height)
+        wait(browser, lambda: all(mine == place for mine, place in ask(browser, sizes)))
 
 
 def test_tab_reaches_the_arena_and_every_control_with_an_outline(browser):
@@ -517,8 +660,8 @@ def states(browser):
 
 
 def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
-    choice = Select(one(browser, "#world"))
-    assert [option.text for option in choice.options] == [world["title"] for world in WORLDS.values()]
+    choice = Select(one(browser, "#task"))
+    assert [option.text for option in choice.options] == [world["title"] for world in TITLES.values()]
     shown = {"drone": {"k"}, "slalom": {"gap"}, "moving": {"k", "pace"}, "goal": {"k"}}
     for name, sliders in shown.items():
         choice.select_by_value(name)
@@ -529,7 +672,8 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
             *(["cannot fly"] * 2 if name == "goal" else ["flying"] * 2),
             "flying",
         ]
-        assert one(browser, "#told").text.startswith(WORLDS[name]["told"])
+        assert one(browser, "#told").text.startswith(TITLES[name]["told"])
+        assert ask(browser, "playground.scene.layouts") == ("random" if name == "slalom" else "test")
     assert one(browser, "#told").text.endswith(
         "No network here has learned that: you and the scripted policy fly."
     )
@@ -541,13 +685,13 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
 
 
 def test_reactive_reaches_its_goal_and_the_page_says_so(browser, opened):
-    visit(browser, opened, "#world=goal&pilots=nobody~nobody~nobody~reactive&focus=4")
+    visit(browser, opened, "#task=goal&pilots=nobody~nobody~nobody~reactive&focus=4")
     steps(browser, 1000)
     assert states(browser)[3] == "arrived"
     assert one(browser, "#banner-words").text == "The race is over."
     assert "4, Scripted reactive: arrived" in one(browser, "#status").get_property("textContent")
     assert one(browser, "#sensor").get_attribute("aria-label").endswith(" px")
-    visit(browser, opened, "#world=goal&pilots=you~nobody~nobody~nobody")
+    visit(browser, opened, "#task=goal&pilots=you~nobody~nobody~nobody")
     browser.execute_script("playground.race.begin()")
     steps(browser, 1000)
     assert states(browser)[0] == "time limit"
@@ -567,17 +711,17 @@ def test_a_page_of_networks_trained_for_goals_begins_there_and_they_fly_there_al
     path = tmp_path / "playground.html"
     path.write_text(page(collect([tmp_path])))
     visit(chrome, path)
-    assert ask(chrome, "playground.scene.world") == "goal"
+    assert ask(chrome, "playground.scene.task") == "goal"
     steps(chrome, 1)
     assert states(chrome) == ["waiting", "flying", "flying", ""]
     assert ask(chrome, "playground.race.drones[1].state.y") == 309  # nine pixels up, as it learned
     assert "No network" not in one(chrome, "#told").text
-    Select(one(chrome, "#world")).select_by_value("drone")
+    Select(one(chrome, "#task")).select_by_value("drone")
     steps(chrome, 1)
     assert states(chrome) == ["waiting", "cannot fly", "flying", ""]
     link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
     visit(chrome, path, f"#{link}")
-    assert ask(chrome, "playground.scene.world") == "drone"
+    assert ask(chrome, "playground.scene.task") == "drone"
 
 
 def test_named_runs_and_zips_fly_when_the_page_opens_in_the_colours_of_the_one_table(chrome, tmp_path):
@@ -603,12 +747,12 @@ def test_named_runs_and_zips_fly_when_the_page_opens_in_the_colours_of_the_one_t
 
 
 def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(browser, opened):
-    visit(browser, opened, "#world=moving&pace=4&pilots=you~nobody~nobody~nobody&focus=1")
+    visit(browser, opened, "#task=moving&pace=4&pilots=you~nobody~nobody~nobody&focus=1")
     browser.execute_script("playground.race.begin()")
     first = ask(browser, "playground.race.obstaclesAt(1)")
     steps(browser, 20)
     later = ask(browser, "playground.race.obstaclesAt(1)")
-    assert ask(browser, "playground.race.task.obstacles(playground.race.set, 20)") == later
+    assert ask(browser, "playground.race.task.obstacles(playground.race.layout, 20)") == later
     assert sum(a != b for a, b in zip(first, later, strict=True)) >= 7
     assert ask(browser, "playground.race.obstaclesAt(0.5)") != later
     one(browser, "#draw").click()
@@ -619,18 +763,18 @@ def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_
     assert not ask(browser, "playground.stage.drawing")
     wait(browser, lambda: ask(browser, "playground.race.steps") > 1)
     one(browser, "#play").click()
-    drawn = ask(browser, "playground.race.set")
+    drawn = ask(browser, "playground.race.layout")
     wait(browser, lambda: "circles=" in browser.current_url)
     visit(browser, opened, f"#{browser.current_url.partition('#')[2]}")
-    for mine, other in zip(ask(browser, "playground.race.set.circles"), drawn["circles"], strict=True):
+    for mine, other in zip(ask(browser, "playground.race.layout.circles"), drawn["circles"], strict=True):
         assert mine == pytest.approx(other, abs=0.06)
 
 
 def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_handed_over(browser, opened):
-    visit(browser, opened, "#world=moving&pace=4&pilots=reactive~nobody~nobody~nobody&layout=3")
+    visit(browser, opened, "#task=moving&pace=4&pilots=reactive~nobody~nobody~nobody&layout=3")
     steps(browser, 25)
     browser.execute_script("playground.handTo(1, 'reactive')")
-    expected = "playground.race.task.obstacles(playground.race.set, playground.race.steps)"
+    expected = "playground.race.task.obstacles(playground.race.layout, playground.race.steps)"
     # px, at the start
     near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"
     waited, clearance = ask(
@@ -643,6 +787,30 @@ def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_han
     assert ask(browser, "playground.race.drones.map(({ state }) => state.steps)") == [26, 1, 0, 0]
 
 
+def test_a_drone_that_waits_senses_obstacles_where_they_are_and_shows_it(browser, opened):
+    visit(browser, opened, "#task=moving&layouts=random&pace=6&pilots=you~reactive~nobody~nobody&focus=1")
+    steps(browser, 40)
+    expected = "playground.race.task.obstacles(playground.race.layout, playground.race.steps)"
+    near = ask(browser, f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)")
+    assert states(browser)[0] == "waiting"
+    assert ask(browser, "playground.race.drones[0].clearance") == pytest.approx(near, abs=1e-3)
+    told = one(browser, "#sensor").get_attribute("aria-label")
+    assert told.endswith(f"; the nearest edge at {near:.0f} px".replace("-", "−"))
+
+
+def test_the_speed_that_is_shown_is_that_of_the_obstacles_also_of_a_split(browser, opened):
+    fastest = "Math.max(...playground.race.layout.circles.map(([, , , vx, vy]) => Math.hypot(vx, vy)))"
+    for split, most in (("random", 6), ("test", 2), ("random", 2)):
+        if split == "random" and most == 6:
+            visit(browser, opened, "#task=moving&layouts=random&pace=6")
+        else:
+            Select(one(browser, "#layouts")).select_by_value(split)
+        assert one(browser, "#pace-now").text == f"{most} px/step"
+        assert most / 2 < ask(browser, fastest) <= most
+    visit(browser, opened, "#task=moving&layouts=test&pace=6")
+    assert one(browser, "#pace-now").text == "2 px/step"
+
+
 def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
     visit(browser, opened, "#sticky=0.5&pilots=reactive~nobody~nobody~nobody")
     steps(browser, 3)
@@ -652,16 +820,16 @@ def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
 
 
 def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(browser, opened):
-    visit(browser, opened, "#world=goal&layout=5")
+    visit(browser, opened, "#task=goal&layout=5")
     assert ask(browser, "playground.focus") == 0  # the first that can fly
-    goal_x, goal_y = ask(browser, "playground.race.set.goal")
+    goal_x, goal_y = ask(browser, "playground.race.layout.goal")
     placed = "allowed(playground.world, [...arguments, 100], playground.race.free)"
     for at in ((goal_x, goal_y), (goal_x + 30, goal_y), (400, 300), (400, 449)):
         assert browser.execute_script(f"return {placed}", *at) is None
     assert browser.execute_script(f"return {placed}", -9, 700) == [0, 600, 100]
     assert np.hypot(goal_x, goal_y - 600) - 100 >= goal.ROOM
     for at, words in ((f"{goal_x:.1f}_{goal_y:.1f}", "circles"), ("0_600", "")):
-        visit(browser, opened, f"#world=goal&layout=5&circles={at}_100")
+        visit(browser, opened, f"#task=goal&layout=5&circles={at}_100")
         assert one(browser, "#notice").text.endswith(f": {words}." if words else "")
         assert bool(ask(browser, "playground.scene.circles")) != bool(words)
 
@@ -683,9 +851,9 @@ def test_faults_are_sliders_in_a_link_and_change_the_episodes(browser, opened):
 
 def test_a_link_restores_another_world_with_its_settings(browser, opened):
     scenes = (
-        "world=slalom&gap=90&sticky=0.25&layouts=random&layout=4&k=8",
-        "world=moving&pace=5.5&layouts=random&layout=1&k=3",
-        "world=goal&noise=2&layouts=validation&layout=9",
+        "task=slalom&gap=90&sticky=0.25&layouts=random&layout=4&k=8",
+        "task=moving&pace=5.5&layouts=random&layout=1&k=3",
+        "task=goal&noise=2&layouts=validation&layout=9",
     )
     for scene in scenes:
         link = f"{scene}&pilots=you~ppo-relu-1~nobody~reactive&focus=4&speed=2&greedy=no&seed=7"
@@ -697,3 +865,17 @@ def test_a_link_restores_another_world_with_its_settings(browser, opened):
             assert str(found[name]) == value
         assert ask(browser, "writeLink(playground.scene, playground.data.settings)") == link
     assert {*SETTINGS} <= {*found}
+
+
+def test_a_link_restores_a_setting_without_which_the_page_opens(chrome, tmp_path):
+    """Also none of a fault that the page's first policy was trained with."""
+    write_policies(tmp_path / "faulty", n_seeds=1, faults={"late": 2})
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect([tmp_path / "faulty"])))
+    for late in (0, 4, 2):
+        visit(chrome, path)
+        assert ask(chrome, "playground.scene.late") == 2
+        slide(chrome, "late", late)
+        link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
+        visit(chrome, path, f"#{link}")
+        assert ask(chrome, "playground.scene.late") == late

@@ -162,7 +162,7 @@ def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(
 COMMANDS = {
     "evaluate": ["RUN", "--episodes", "3", "--max-steps", "20"],
     "verify": ["RUN", "--frames", "512"],
-    "render": ["RUN", "--steps", "5", "--out", "flight.png"],
+    "render": ["RUN", "--steps", "5", "--out", "episode.png"],
     "export": ["RUN", "--out", "policy.pt2"],
     "play": ["RUN"],
 }
@@ -209,7 +209,7 @@ def test_with_the_flag_each_command_works(folder, run, tmp_path):
     said = python(tmp_path, "-c", "\n".join(lines))
     assert "own: the same, bit for bit: " in said
     assert "own, sampled: " in said
-    assert (tmp_path / "flight.png").is_file()
+    assert (tmp_path / "episode.png").is_file()
     assert "policy.pt2: observation [N, 30] -> values [N, 100]" in said
 
 

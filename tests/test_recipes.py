@@ -18,7 +18,7 @@ from uavnav.__main__ import main
 from uavnav.algorithms.a2c import A2CConfig
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import commands
-from uavnav.evaluation import evaluate_policy, scripts, summary
+from uavnav.evaluation import evaluate_policy, scripted, summary
 from uavnav.runs import Run
 from uavnav.runs.evaluations import usual
 from uavnav.runs.metrics import per_seed
@@ -143,14 +143,14 @@ def test_what_the_scripted_policy_earns_is_the_mean_of_its_committed_rows():
         rows = pd.read_parquet(
             RESULTS / folder / "baselines" / usual(task)._replace(task=task).file("reactive")
         )
-        assert scripts.REWARDS[task] == round(rows["reward"].mean(), 2)
+        assert scripted.REWARDS[task] == round(rows["reward"].mean(), 2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["moving", "space", "space-moving"])
 def test_the_scripted_policy_earns_as_much_in_tasks_without_committed_rows(task):
     rows = evaluate_policy(BASELINES["reactive"], task=task)
-    assert scripts.REWARDS[task] == pytest.approx(rows["reward"].mean(), abs=0.005)
+    assert scripted.REWARDS[task] == pytest.approx(rows["reward"].mean(), abs=0.005)
 
 
 def test_quiet_prints_nothing_and_json_the_numbers_of_the_tables_and_nothing_else(recipe, tmp_path):

@@ -207,7 +207,7 @@ def run(trained):
 
 
 def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third_step(run, tmp_path, capsys):
-    path = tmp_path / "flight.gif"
+    path = tmp_path / "episode.gif"
     words = [str(run.path), "reactive", "--steps", "30", "--every", "3", "--out", str(path)]
     assert render_command(words) == 0
     first, second, last = capsys.readouterr().out.splitlines()
@@ -281,7 +281,7 @@ def test_the_caption_and_the_printed_line_say_greedy_or_sampled_and_sampled_is_t
         return original(self, xy, words, *rest, **how)
 
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
-    command = [str(run.path), "straight", *words, "--steps", "2", "--out", str(tmp_path / "flight.png")]
+    command = [str(run.path), "straight", *words, "--steps", "2", "--out", str(tmp_path / "episode.png")]
     assert render_command(command) == 0
     name = f"{run.path.parent.name}/run"
     first, second, _ = capsys.readouterr().out.splitlines()

@@ -169,7 +169,7 @@ def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_vel
         place = configuration["place"]
         task = make_task("test", place["world"], task=place["task"])
         assert place["title"] == "moving obstacles"
-        assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), task.layouts[:2])
+        assert torch.equal(torch.tensor([one["circles"] for one in place["layouts"]]), task.layouts[:2])
         for episode in configuration["episodes"]:
             found = {name: torch.tensor(part) for name, part in unpack(episode, data["fields"]).items()}
             n = episode["steps"] + 1
@@ -190,7 +190,7 @@ def test_in_3d_a_drone_is_sensed_and_clear_as_where_its_poses_say(tmp_path, task
     (configuration,) = recorded(tmp_path, n_layouts=2)["configurations"]
     place = configuration["place"]
     own = make_task("test", place["world"], task=task)
-    assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), own.layouts[:2])
+    assert torch.equal(torch.tensor([one["circles"] for one in place["layouts"]]), own.layouts[:2])
     assert place["actions"][:6] == [[0, 0, 0], [0, 0, 3], [0, 0, 6], [0, 0, 9], [0, 2, 0], [0, 2, 3]]
     for episode in configuration["episodes"]:
         found = {name: torch.tensor(part) for name, part in unpack(episode, place["fields"]).items()}
@@ -212,13 +212,13 @@ def test_an_episode_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_
     monkeypatch.setattr(
         replays,
         "_layouts",
-        lambda task, sets="test": above if isinstance(task.task, Goal) else layouts.load("test"),
+        lambda task, split="test": above if isinstance(task.task, Goal) else layouts.load("test"),
     )
     goal, late = recorded(tmp_path, n_layouts=1)["configurations"]
     (episode,) = goal["episodes"]
     assert (episode["ended"], episode["steps"]) == ("goal", 20)
     assert episode["reward"] == pytest.approx(10 + 0.01 * 180, abs=0.01)
-    assert goal["place"]["sets"] == [{"circles": [], "goal": [400, 520]}]
+    assert goal["place"]["layouts"] == [{"circles": [], "goal": [400, 520]}]
     assert late["place"]["title"] == "late=1, stack=2"
 
 
@@ -234,7 +234,7 @@ def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
     assert {*found} == {"", "slalom-100", "density-20"}
     for rung, configuration in found.items():
         all_layouts = layouts.load(f"{rung}/test" if rung else "test")[:2].double()
-        shown = [one["circles"] for one in configuration["place"]["sets"]] if rung else data["layouts"]
+        shown = [one["circles"] for one in configuration["place"]["layouts"]] if rung else data["layouts"]
         assert np.allclose(shown, all_layouts, atol=0.01)
         for episode in configuration["episodes"]:
             poses = unpack(episode, data["fields"])
@@ -267,15 +267,15 @@ def test_a_report_records_configurations_of_other_worlds_beside_the_papers(tmp_p
 def test_episodes_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_same_obstacles(run, data):
     (configuration,) = data["configurations"]
     label = f"{configuration['algorithm'].upper()} {configuration['label']}"
-    shown = together(data, {label: "mine", "PPO nobody": "nobody"}, "rule")
-    assert [drone["name"] for drone in shown["drones"]] == ["mine", "rule"]
+    shown = together(data, {label: "mine", "PPO nobody": "nobody"}, "reactive")
+    assert [drone["name"] for drone in shown["drones"]] == ["mine", "reactive"]
     assert [len(drone["episodes"]) for drone in shown["drones"]] == [3, 3]
     order = [episode["layout"] for episode in shown["drones"][0]["episodes"]]
     assert order == [episode["layout"] for episode in shown["drones"][1]["episodes"]]
     assert shown["layouts"] == [data["layouts"][at] for at in order]
     lengths = [episode["steps"] for episode in shown["drones"][0]["episodes"]]
-    assert lengths == sorted(lengths)  # where a policy collides first, the rule is seen to fly on
-    for drone, episodes in zip(shown["drones"], (configuration["episodes"], data["rule"]), strict=True):
+    assert lengths == sorted(lengths)  # where a policy collides first, the scripted policy is seen to fly on
+    for drone, episodes in zip(shown["drones"], (configuration["episodes"], data["scripted"]), strict=True):
         for episode in drone["episodes"]:
             (whole,) = [
                 one
@@ -292,7 +292,7 @@ def test_episodes_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_sa
 
 
 def test_the_rule_flies_as_baselines_say_it_does(data):
-    for episode in data["rule"]:
+    for episode in data["scripted"]:
         found = unpack(episode, data["fields"])
         assert set(found["action"][:, 0]) <= {STRAIGHT, 50}
         assert (episode["ended"], episode["steps"]) == ("truncated", MAX_STEPS)

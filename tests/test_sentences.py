@@ -59,7 +59,10 @@ SOURCE = Path(STUDY.filename).read_text()
 SIGNED = [
     name
     for name in BLOCKS
-    if re.search(r"\"[+−]\"|self\.rule\(", re.search(rf"block {name} %}}(.*?)endblock", SOURCE, re.DOTALL)[1])
+    if re.search(
+        r"\"[+−]\"|self\.scripted_policy\(",
+        re.search(rf"block {name} %}}(.*?)endblock", SOURCE, re.DOTALL)[1],
+    )
 ]
 
 

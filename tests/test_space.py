@@ -303,15 +303,15 @@ def test_files_of_spheres_are_what_their_seed_generates_and_fly_in_their_world_a
         ({"layouts": torch.ones(2, 3, 3)}, "layouts have the shape [n > 0, k, 4], not [2, 3, 3]"),
         (
             {"layouts": torch.tensor([[[400.0, 300, 340, 30]]])},
-            "obstacle 0 of set 0 is nearer than 50 px to the start",
+            "obstacle 0 of layout 0 is nearer than 50 px to the start",
         ),
         (
             {"layouts": torch.tensor([[[0.0, 0, 0, 29]]])},
-            "obstacle 0 of set 0 has a radius outside 30 ... 100 px",
+            "obstacle 0 of layout 0 has a radius outside 30 ... 100 px",
         ),
         (
             {"layouts": torch.tensor([[[0.0, 0, 601, 30, 0, 0, 0]]]), "task": "space-moving"},
-            "obstacle 0 of set 0 has its centre outside the box",
+            "obstacle 0 of layout 0 has its centre outside the box",
         ),
     ],
 )

@@ -14,7 +14,7 @@ from bad_input import a_folder, a_pipe, endless, itself, large, put
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
-from uavnav.cli.study import parse, scripted, status
+from uavnav.cli.study import parse, scripted_evaluations, status
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
 from uavnav.runs import progress, read_settings, run_folders
@@ -56,7 +56,7 @@ def test_lists_stand_for_a_configuration_each_in_all_combinations(tmp_path):
     assert [getattr(configuration.config, "learning_starts", None) for configuration in found] == [
         None
     ] * 4 + [1000] * 4
-    assert found[0].flights == (Protocol("test", 200, 10_000),)
+    assert found[0].evaluations == (Protocol("test", 200, 10_000),)
 
 
 def test_seeds_and_frames_of_the_command_line_hold_for_every_configuration(tmp_path):
@@ -74,7 +74,7 @@ def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladder
     )
     mine = mine.replace("world.slots: listed", "layouts: density-4/train, faults.noise: 5")
     configuration = studies.configurations(studies.read(written(tmp_path, mine)), tmp_path)[0]
-    assert configuration.flights == (Protocol("density-4/test", 5, 9),)
+    assert configuration.evaluations == (Protocol("density-4/test", 5, 9),)
     assert configuration.config.faults.noise == 5
     bounds = ["--episodes", "5", "--max-steps", "9"]
     own = ["--layouts", "density-4/test", *bounds]
@@ -84,7 +84,7 @@ def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladder
     assert unflown(configuration) == [[*bounds, "--alone", "--across", "arc"]]
     put(configuration.out / "across-arc-5-9.parquet", "")
     assert evaluated(configuration)
-    assert unflown(configuration._replace(flights=())) == []
+    assert unflown(configuration._replace(evaluations=())) == []
 
 
 @pytest.mark.parametrize(
@@ -100,8 +100,8 @@ def test_a_configuration_with_a_goal_is_flown_for_1000_steps_unless_its_study_sa
 ):
     text = f"configurations: [{{algorithm: ppo, task: goal, evaluate: {said}}}]"
     (configuration,) = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
-    assert configuration.flights == (flown,)
-    (words,) = scripted([configuration], tmp_path)
+    assert configuration.evaluations == (flown,)
+    (words,) = scripted_evaluations([configuration], tmp_path)
     assert words[words.index("--max-steps") + 1] == str(flown.max_steps)
 
 
@@ -109,7 +109,7 @@ def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scrip
     evaluate = "{episodes: 5, max_steps: 9, shield: [false, true], measures: true}"
     text = f"""
         settings: {{evaluate: {evaluate}}}
-        scripts: baselines
+        scripted_folder: baselines
         scripted: [apf, orca]
         configurations:
           - {{algorithm: ppo, folder: drone}}
@@ -125,8 +125,11 @@ def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scrip
     assert evaluated(found[0])
     out = ["--out", str(tmp_path), "--measures"]
     moving = ["apf", "orca", *bounds, "--task", "moving"]  # orca needs velocities, and flies only there
-    flights = [["apf", *bounds, *out], ["apf", *bounds, "--shield", *out], [*moving, *out]]
-    assert scripted(found, tmp_path, study.scripted) == [*flights, [*moving, "--shield", *out]]
+    evaluations = [["apf", *bounds, *out], ["apf", *bounds, "--shield", *out], [*moving, *out]]
+    assert scripted_evaluations(found, tmp_path, study.scripted) == [
+        *evaluations,
+        [*moving, "--shield", *out],
+    ]
 
 
 def test_scripted_policies_that_cannot_fly_a_task_are_skipped_in_a_study(tmp_path):
@@ -135,7 +138,7 @@ def test_scripted_policies_that_cannot_fly_a_task_are_skipped_in_a_study(tmp_pat
     text = "settings: {evaluate: {episodes: 5, max_steps: 9}}\nconfigurations:\n"
     text += "".join(f"  - {{algorithm: ppo, folder: {name}, task: {name}}}\n" for name in tasks)
     found = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
-    asked = scripted(found, tmp_path, ["vfh", "dwa", "orca"])
+    asked = scripted_evaluations(found, tmp_path, ["vfh", "dwa", "orca"])
     flown = [words[: words.index("--episodes")] for words in asked]
     assert flown == [["vfh", "dwa"], ["dwa"], ["dwa", "orca"]]
 
@@ -146,7 +149,7 @@ def test_classics_fly_where_a_configuration_was_trained_and_only_the_usual_scrip
         configurations: [{algorithm: ppo, layouts: density-4/train}]
     """
     found = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
-    asked = scripted(found, tmp_path, ["reactive", "dwa"])
+    asked = scripted_evaluations(found, tmp_path, ["reactive", "dwa"])
     assert sum("dwa" in words for words in asked) == 1
     assert asked[0][:4] == ["reactive", "dwa", "--layouts", "density-4/test"]
     assert len(asked) == len(ladders.LADDERS["density"].rungs)
@@ -165,7 +168,7 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
     worlds = {(one.config.task, str(one.config.layouts), str(one.config.faults)) for one in found}
     assert len(found) == len(worlds) * 2 * (5 + 2) + 2 * 2  # and SAC in two
     assert {one.config.total_frames for one in found} == {500_000}
-    assert {one.flights[0].max_steps for one in found if one.config.task == "goal"} == {1000}
+    assert {one.evaluations[0].max_steps for one in found if one.config.task == "goal"} == {1000}
     assert {one.across for one in found if one.config.layouts == "train" and one.config.task == "drone"} == {
         (),
         ("density", "slalom"),
@@ -178,7 +181,7 @@ def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configuration
     tmp_path,
 ):
     configurations = studies.configurations(studies.read("worlds"), tmp_path)
-    words = scripted(configurations, tmp_path)
+    words = scripted_evaluations(configurations, tmp_path)
     rules, own = ["random", "straight", "reactive"], ["--seeds", "10", "--out", str(tmp_path)]
     # the ladders have 11 and 8 rungs; four and one of them are worlds of the study
     assert len(words) == 11 + 7 + 7
@@ -187,10 +190,17 @@ def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configuration
     assert [*rules, "--max-steps", "2000", "--faults", "noise=5", *own] in words
     for rule in rules[1:]:
         put(tmp_path / f"{rule}-goal-test-200-1000.parquet", "")
-    assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted(configurations, tmp_path)
+    assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted_evaluations(
+        configurations, tmp_path
+    )
     put(tmp_path / "random-goal-test-200-1000.parquet", "")
-    assert len(scripted(configurations, tmp_path)) == 24
-    assert scripted([configuration._replace(flights=()) for configuration in configurations], tmp_path) == []
+    assert len(scripted_evaluations(configurations, tmp_path)) == 24
+    assert (
+        scripted_evaluations(
+            [configuration._replace(evaluations=()) for configuration in configurations], tmp_path
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("name", studies.names())
@@ -325,12 +335,12 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
             "evaluate.measures=[True, False]; choose from false, true",
         ),
         (
-            "scripts: ../x\nconfigurations: [{algorithm: ppo}]",
-            "scripts=../x; give a folder's name, such as baselines",
+            "scripted_folder: ../x\nconfigurations: [{algorithm: ppo}]",
+            "scripted_folder=../x; give a folder's name, such as baselines",
         ),
         (
-            'scripts: "a\\0b"\nconfigurations: [{algorithm: ppo}]',
-            "scripts=a\\x00b; give a folder's name, such as baselines",
+            'scripted_folder: "a\\0b"\nconfigurations: [{algorithm: ppo}]',
+            "scripted_folder=a\\x00b; give a folder's name, such as baselines",
         ),
         (
             "configurations: [{algorithm: ppo, folder: '{lr:999999999}', lr: 1}]",
@@ -386,8 +396,8 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
             "draw: there is no key 'gama'; did you mean gamma?",
         ),
         (
-            "scripts: [random]\nconfigurations: [{algorithm: ppo}]",
-            "scripts=['random']; give a folder's name, such as baselines",
+            "scripted_folder: [random]\nconfigurations: [{algorithm: ppo}]",
+            "scripted_folder=['random']; give a folder's name, such as baselines",
         ),
     ],
 )

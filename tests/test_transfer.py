@@ -65,13 +65,13 @@ def test_each_policy_flies_in_each_world_of_training_and_one_of_other_observatio
     rows = pd.read_parquet(kept)
     seeds = {str(run.path): len(run.seeds) for name, run in runs.items() if name != "goal"}
     assert len(rows) == 2 * len(worlds) * (2 * sum(seeds.values()) + 1)  # sets, worlds, modes and the rule
-    assert [*rows["flown_in"].unique()] == worlds
+    assert [*rows["evaluated_in"].unique()] == worlds
     assert dict(zip(rows["policy"], rows["trained_in"], strict=True)) == {
         **dict(zip(seeds, worlds, strict=True)),
         "reactive": "",
     }
     said = json.loads(printed)
-    assert {(one["trained_in"], one["flown_in"]) for one in said} == {
+    assert {(one["trained_in"], one["evaluated_in"]) for one in said} == {
         (a, b) for a in (*worlds, "") for b in worlds
     }
     assert kept.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
@@ -112,7 +112,7 @@ def test_the_figure_frames_the_world_of_training_and_says_every_number():
         ["a", "sampled", world, "reward", 2, value, value - 1, value + 1]
         for world, value in (("drone", 5.0), ("moving", -3.0))
     ]
-    columns = ["name", "mode", "flown_in", "measure", "n", "value", "low", "high"]
+    columns = ["name", "mode", "evaluated_in", "measure", "n", "value", "low", "high"]
     drawn = transfer.draw(pd.DataFrame(rows, columns=columns), {"a": "moving"})
     assert drawn.alt == "Reward per episode: a in drone 5.00; a in moving -3.00."
     axes = drawn.figure.axes[0]

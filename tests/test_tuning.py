@@ -283,7 +283,7 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
         200_000,
     )
     configuration = found.trial("sac", 0, {})
-    assert configuration.flights == (Protocol("validation", 100, 2000),)
+    assert configuration.evaluations == (Protocol("validation", 100, 2000),)
     ranges = {}
     for algorithm, setting in ((a, s) for a in found.algorithms for s in found.said["space"][a]):
         ranges.setdefault(setting, []).append(found.range(algorithm, setting))

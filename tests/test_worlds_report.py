@@ -13,9 +13,9 @@ from uavnav import evaluation
 from uavnav.cli import commands
 from uavnav.colours import PILOTS
 from uavnav.evaluation import Protocol
-from uavnav.evaluation.scripts import SEEDS, rows_of_scripts
+from uavnav.evaluation.scripted import SEEDS, rows_of_scripted
 from uavnav.report import tables, worlds
-from uavnav.report.claims import ALL_WORLDS, NONE, RANKED, SCATTER, VARIATION, at
+from uavnav.report.claims import ALL_TASKS, NONE, RANKED, SCATTER, VARIATION, at
 from uavnav.report.configurations import apart
 from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
 from uavnav.tasks.faults import Faults
@@ -23,7 +23,7 @@ from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import USUAL
 
 NOTHING = {}, {}, pd.DataFrame(), []
-"""Of scripts, rungs, runs and what was left out."""
+"""Of scripted policies, rungs, runs and what was left out."""
 
 
 def seeds(reward, **more):
@@ -67,7 +67,7 @@ def test_where_success_is_measured_no_restricted_mean_of_survival_is_shown():
         {("goal", "ppo", "tanh"): seeds([1, 2], success=50.0), ("drone", "ppo", "tanh"): seeds([1, 2])},
         *NOTHING,
     )
-    shown = summary(found).groupby("world")["metric"].agg(set)
+    shown = summary(found).groupby("task")["metric"].agg(set)
     assert "survival" in shown["drone"]
     assert "survival" not in shown["goal"]
 
@@ -78,7 +78,7 @@ def test_scatter_is_the_distance_to_the_configurations_median_in_units_of_its_wo
     )
     usual = (1 + 0 + 1 + 5 + 0 + 5) / 6
     assert found("ppo", "tanh", SCATTER, "drone").tolist() == [1 / usual, 0, 1 / usual]
-    assert found("ppo", "relu", SCATTER, ALL_WORLDS).tolist() == [5 / usual, 0, 5 / usual]
+    assert found("ppo", "relu", SCATTER, ALL_TASKS).tolist() == [5 / usual, 0, 5 / usual]
 
 
 def test_a_mean_over_worlds_leaves_the_tuned_presets_out_and_asks_for_runs_in_each_world():
@@ -90,11 +90,11 @@ def test_a_mean_over_worlds_leaves_the_tuned_presets_out_and_asks_for_runs_in_ea
             ("goal", "c51", "tanh"): seeds([7, 8]),
         }
     )
-    assert found("ppo", "tanh", "reward", ALL_WORLDS).tolist() == [2, 4]
+    assert found("ppo", "tanh", "reward", ALL_TASKS).tolist() == [2, 4]
     assert found("ppo", "tanh", "reward", "goal, fast").tolist() == [100, 100]
     assert found("c51", "tanh", "reward", "goal").tolist() == [7, 8]
-    assert found("c51", "tanh", "reward", ALL_WORLDS).size == 0
-    assert found("dqn", "tanh", "reward", ALL_WORLDS).size == 0
+    assert found("c51", "tanh", "reward", ALL_TASKS).size == 0
+    assert found("dqn", "tanh", "reward", ALL_TASKS).size == 0
 
 
 @pytest.mark.parametrize(("sign", "rho"), [(1, 1.0), (-1, -1.0)])
@@ -109,13 +109,13 @@ def test_the_rank_correlation_across_the_configurations_of_a_world_is_one_number
             for configuration, own in zip(configurations, reward, strict=True)
         }
     )
-    assert found(RANKED, RANKED, "gradient_variation_explains", ALL_WORLDS) == pytest.approx([rho, rho])
-    assert found(RANKED, NONE, "gradient_variation_explains", ALL_WORLDS).tolist() == [0, 0]
+    assert found(RANKED, RANKED, "gradient_variation_explains", ALL_TASKS) == pytest.approx([rho, rho])
+    assert found(RANKED, NONE, "gradient_variation_explains", ALL_TASKS).tolist() == [0, 0]
     assert VARIATION == "gradient_variation"
 
 
 def made_up():
-    """PPO far above and DQN among random flight in the paper's world, both below the rule where there is
+    """PPO far above and DQN among random policies in the paper's task, both below `reactive` where there is
     a goal.
     """
     learned = {
@@ -127,17 +127,17 @@ def made_up():
     }
     scripted = {
         (world, name): seeds(reward)
-        for world, rule in (("drone", 20), ("goal", 10), ("moving", 9))
-        for name, reward in (("random", [-8, -7, -6]), ("straight", [-8]), ("reactive", [rule]))
+        for world, who in (("drone", 20), ("goal", 10), ("moving", 9))
+        for name, reward in (("random", [-8, -7, -6]), ("straight", [-8]), ("reactive", [who]))
     }
     return Worlds(learned, scripted, *NOTHING[1:])
 
 
 def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_random_flight():
     found = leaders(summary(made_up()))
-    assert found[["world", "best", "script", "ahead", "chance"]].to_numpy().tolist() == [
-        ["drone", "PPO tanh", "reactive", "a policy", "DQN tanh"],
-        ["goal", "PPO tanh fast", "reactive", "a script", ""],
+    assert found[["task", "best", "best_scripted", "ahead", "chance"]].to_numpy().tolist() == [
+        ["drone", "PPO tanh", "reactive", "a configuration", "DQN tanh"],
+        ["goal", "PPO tanh fast", "reactive", "a scripted policy", ""],
         ["moving", "PPO tanh", "reactive", "neither", ""],
     ]
     assert tables.listed(found, "leaders")[1][:5] == [
@@ -151,9 +151,9 @@ def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_ra
     assert {*leaders(summary(alone))["ahead"]} == {""}
 
 
-def test_a_worlds_table_has_configurations_and_scripts():
+def test_a_worlds_table_has_configurations_and_scripted_policies():
     found = made_up()
-    rows = tables.crossed(summary(found).query("world == 'goal'"), "who", "metric", 2, worlds.LABELS)
+    rows = tables.crossed(summary(found).query("task == 'goal'"), "who", "metric", 2, worlds.LABELS)
     assert [row[0] for row in rows[1:]] == ["PPO tanh", "PPO tanh fast", "random", "straight", "reactive"]
     assert rows[0] == ["who", *worlds.MEASURES.values(), "seeds"]
     assert rows[1][1].startswith("4.20 [4.")
@@ -161,7 +161,7 @@ def test_a_worlds_table_has_configurations_and_scripts():
     assert rows[-1][1:] == ["10.00", "–", "1.00", "9.00", "1"]
 
 
-# -- rows of scripts -----------------------------------------------------------------------------------------
+# -- rows of scripted policies -------------------------------------------------------------------------------
 
 GOAL = Protocol(max_steps=1000, task="goal")
 
@@ -190,12 +190,12 @@ def test_a_ladder_is_drawn_for_configurations_of_the_papers_world_and_for_script
     assert len({line.get_color() for line in lines.values()}) == len(lines) == 8
 
 
-def keep(folder, rule, protocol=GOAL, reward=3.0, **header):
+def keep(folder, who, protocol=GOAL, reward=3.0, **header):
     """Two episodes of a script, as a command would have kept them, but for the header."""
     folder.mkdir(parents=True, exist_ok=True)
     flown = rows(0, (10, 10, 1, 1, 5, 50, reward), (40, 30, 4, 0, 10, 100, reward))
     flown.attrs = {"layouts": "test", "episodes": 200, "max_steps": 1000, "task": "goal"} | header
-    flown.to_parquet(folder / protocol.file(rule))
+    flown.to_parquet(folder / protocol.file(who))
     return flown
 
 
@@ -203,7 +203,7 @@ def test_rows_of_another_cap_or_task_are_refused_in_one_line_and_the_others_are_
     flown = keep(tmp_path, "straight")
     keep(tmp_path, "random", max_steps=2000)
     keep(tmp_path, "reactive", task="moving")
-    found, left_out = rows_of_scripts([tmp_path], GOAL)
+    found, left_out = rows_of_scripted([tmp_path], GOAL)
     assert found.keys() == {"straight"}
     pd.testing.assert_frame_equal(found["straight"], flown)
     start = (
@@ -222,8 +222,8 @@ def test_rows_of_scripts_are_taken_from_the_first_folder_that_has_them_and_a_dam
     keep(mine, "straight", reward=2.0)
     keep(theirs, "reactive", reward=4.0)
     (mine / GOAL.file("random")).write_text("no rows")
-    found, (line,) = rows_of_scripts([mine, theirs], GOAL)
-    assert {rule: own["reward"].mean() for rule, own in found.items()} == {"straight": 2.0, "reactive": 4.0}
+    found, (line,) = rows_of_scripted([mine, theirs], GOAL)
+    assert {who: own["reward"].mean() for who, own in found.items()} == {"straight": 2.0, "reactive": 4.0}
     assert line.startswith(
         f"{mine / GOAL.file('random')}: missing or damaged; write them with uavnav evaluate random "
     )
@@ -231,13 +231,13 @@ def test_rows_of_scripts_are_taken_from_the_first_folder_that_has_them_and_a_dam
 
 def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
     protocol = Protocol("density-4/test", 3, 20, Faults(noise=5))
-    _, (line,) = rows_of_scripts([tmp_path / "rows"], protocol)
+    _, (line,) = rows_of_scripted([tmp_path / "rows"], protocol)
     start, words = line.split("; write them with uavnav evaluate ")
     assert start == f"{tmp_path}/rows: no rows of random, straight, reactive"
     assert commands.run("evaluate", [*shlex.split(words), "--quiet"]) == 0
-    found, left_out = rows_of_scripts([tmp_path / "rows"], protocol)
+    found, left_out = rows_of_scripted([tmp_path / "rows"], protocol)
     assert ([*found], left_out) == ([*USUAL], [])
-    assert {rule: own["seed"].nunique() for rule, own in found.items()} == {
+    assert {who: own["seed"].nunique() for who, own in found.items()} == {
         "random": SEEDS,
         "straight": 1,
         "reactive": 1,
@@ -269,11 +269,12 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
         f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight "
         "reactive"
         f" --max-steps 2000 --seeds 10 --out {home}",
-        "drone, sensor_arc=90.0: no rows of scripts, which fly only with the usual settings of a task",
+        "drone, sensor_arc=90.0: no rows of scripted policies, which fly only with the usual settings of a"
+        " task",
         f"{home}: no rows of random, reactive; write them with uavnav evaluate random reactive"
         f" --max-steps 1000 --task goal --seeds 10 --out {home}",
     ]
-    ahead = leaders(summary(found)).set_index("world")[["best", "value", "script", "scripted"]]
+    ahead = leaders(summary(found)).set_index("task")[["best", "value", "best_scripted", "scripted"]]
     assert ahead.loc["drone"].tolist()[:3] == ["DQN tanh", 2.25, ""]
     assert ahead.loc["goal"].tolist()[2:] == ["straight", 4.0]
 
@@ -298,7 +299,7 @@ def test_scripts_of_a_rung_are_read_from_its_own_rows_and_a_run_tells_how_it_was
     (made,) = found.runs.to_dict("records")
     told = {
         "run": str(path),
-        "world": "drone",
+        "task": "drone",
         "seeds": 2,
         "git_commit": "c0ffee",
         "processor": "an abacus",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import SCRIPTED
 
-PILOTS = {"you": "#E69F00", "ppo": "#0072B2", "dqn": "#D55E00", **dict.fromkeys(SCRIPTS, "#009E73")}
+PILOTS = {"you": "#E69F00", "ppo": "#0072B2", "dqn": "#D55E00", **dict.fromkeys(SCRIPTED, "#009E73")}
 """By who flies: a person, an algorithm's policy, a scripted policy."""
 OTHERS = ("#CC79A7", "#56B4E9", "#000000", "#882255", "#999933")
 """Of further pilots, in their order: Okabe and Ito's without the yellow, then Paul Tol's wine and olive."""

@@ -56,9 +56,9 @@ NIGHT = {
 """Colours of a figure by day, and what they are on a dark page."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 """The look of a line that no configuration drew."""
-RULED = DASHED | {"color": SCRIPTED}
+SCRIPTED_LINE = DASHED | {"color": SCRIPTED}
 """The look of what the scripted policy reaches."""
-RULE = "scripted policy"
+SCRIPTED_NAME = "scripted policy"
 """The label of the scripted policy that everything learned is compared with."""
 STYLE: dict[RcKeyType, Any] = {
     "font.family": "sans-serif",
@@ -190,14 +190,23 @@ def mark(marker: str, label: str, **look: Any) -> Line2D:
     return Line2D([], [], linestyle="none", marker=marker, color=INK, label=label, **look)
 
 
-def keep_lines_legible(axes: Axes) -> None:
-    """Show of wide bands, as of two seeds, at most as much on each side as the lines need."""
-    drawn = [np.empty(0), *(np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.lines)]
-    places = np.concatenate(drawn)
+def scripted_mark() -> Line2D:
+    """A handle of a legend for the line of the scripted policy."""
+    return Line2D([], [], label=SCRIPTED_NAME, **SCRIPTED_LINE)
+
+
+def legible(places: Array, limits: tuple[float, float]) -> tuple[float, float]:
+    """Limits of an axis that show of wide intervals, as of two seeds, as much on each side as places take."""
     places = places[np.isfinite(places)]
-    if len(places) and (room := np.ptp(places)) > 0:
-        low, high = axes.get_ylim()
-        axes.set_ylim(max(low, places.min() - room), min(high, places.max() + room))
+    if not len(places) or not (room := np.ptp(places)) > 0:
+        return limits
+    return max(limits[0], places.min() - room), min(limits[1], places.max() + room)
+
+
+def keep_lines_legible(axes: Axes) -> None:
+    """Show of wide bands at most as much on each side as the lines need."""
+    drawn = [np.empty(0), *(np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.lines)]
+    axes.set_ylim(legible(np.concatenate(drawn), axes.get_ylim()))
 
 
 def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interval | None = None) -> Interval:
@@ -251,7 +260,7 @@ def of_pilots(pilots: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 
 def of_pilot(label: str) -> str:
     """The colour of an algorithm, by a label that begins with it, or of the scripted policy."""
-    return SCRIPTED if label == RULE else PILOTS.get(label.split()[0].lower(), colours.OTHERS[0])
+    return SCRIPTED if label == SCRIPTED_NAME else PILOTS.get(label.split()[0].lower(), colours.OTHERS[0])
 
 
 def coloured(labels: Iterable[str]) -> list[tuple[str, tuple[str, str]]]:

@@ -7,7 +7,7 @@ Result = dict[str, Any]
 """What a job finds: JSON by name."""
 QUICK = ("world", "gymnasium", "training")
 BY_DEFAULT = (*QUICK, "memory")
-LONGER = ("worlds",)
+LONGER = ("tasks",)
 """The sections that a quick run measures, those of a plain run, and those that only `--only` chooses."""
 OUT = Path("docs/benchmarks.md")
 SCRATCH = Path("build/bench")

@@ -1,4 +1,4 @@
-"""The runner: each job is a function of `worlds` or `training`, called in a fresh process.
+"""The runner: each job is a function of `environments` or `training`, called in a fresh process.
 
 `python -m uavnav.bench.jobs MODULE.FUNCTION '{"argument": ...}' LAUNCHED` prints its result as JSON.
 LAUNCHED is when the process was started [s since the epoch], so that start-up counts.

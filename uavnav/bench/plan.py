@@ -19,7 +19,7 @@ WORLD_BATCH = 4096
 IN_SB3 = ("ppo", "dqn", "a2c")
 """The algorithms that Stable-Baselines3 has too."""
 FAULTS = {"noise": 5.0, "lost": 0.1, "late": 2, "sticky": 0.1}
-WORLDS: dict[str, Result] = {
+TASKS: dict[str, Result] = {
     "drone": {},
     **{name: {"layouts": f"{name}/train"} for name in ("density-0", "density-20", "slalom-100")},
     "a sensor of 160 px": {"world": {"sensor_radius": 160.0}},
@@ -35,7 +35,9 @@ WORLDS: dict[str, Result] = {
 def world() -> Iterator[Measurement]:
     """One process a core is the fastest way, and all that a quick run measures."""
     beside: Result = {"batches": BATCHES[2:6], "meeting": "", "copies": CORES}
-    one = Measurement(f"world/compiled, {CORES} processes of 1 thread", "worlds.batched", beside, base=NUMPY)
+    one = Measurement(
+        f"world/compiled, {CORES} processes of 1 thread", "environments.batched", beside, base=NUMPY
+    )
     yield replace(one, copies=CORES, quick={"batches": [WORLD_BATCH]})
     for kind, threads in dict.fromkeys((("compiled", CORES), ("compiled", 1), ("eager", 1))):
         how = {"batches": BATCHES, "compiled": kind == "compiled", "seconds": 0.7}
@@ -43,12 +45,14 @@ def world() -> Iterator[Measurement]:
 
 
 def gymnasium() -> Iterator[Measurement]:
-    one = Measurement(NUMPY, "worlds.single", {"which": "numpy"}, rounds=5, base=NUMPY)
+    one = Measurement(NUMPY, "environments.single", {"which": "numpy"}, rounds=5, base=NUMPY)
     one = replace(one, quick={"seconds": 0.5})
     yield one
     yield replace(one, name="gymnasium/uavnav", arguments={"which": "uavnav"})
     for n in (16, 256):
-        yield Measurement(f"gymnasium/uavnav, vector of {n}", "worlds.vector", {"n_envs": n}, base=NUMPY)
+        yield Measurement(
+            f"gymnasium/uavnav, vector of {n}", "environments.vector", {"n_envs": n}, base=NUMPY
+        )
 
 
 def training(algorithm: str) -> Iterator[Measurement]:
@@ -84,15 +88,15 @@ def memory() -> Iterator[Measurement]:
         yield Measurement(f"memory/{algorithm.upper()}", "training.whole", arguments, CORES, rounds=1)
 
 
-def worlds() -> Iterator[Measurement]:
-    for name, how in WORLDS.items():
+def tasks() -> Iterator[Measurement]:
+    for name, how in TASKS.items():
         arguments = {"batches": [WORLD_BATCH], "settings": how}
-        yield Measurement(f"worlds/{name}", "worlds.batched", arguments, rounds=5, base="worlds/drone")
+        yield Measurement(f"tasks/{name}", "environments.batched", arguments, rounds=5, base="tasks/drone")
 
 
 def plan(sections: Sequence[str], quick: bool) -> list[Measurement]:
     """The measurements of sections; `quick`, shorter ones of one round each."""
-    every = chain(world(), gymnasium(), *map(training, ALGORITHMS), memory(), worlds())
+    every = chain(world(), gymnasium(), *map(training, ALGORITHMS), memory(), tasks())
     found = [one for one in every if one.name.split("/")[0] in sections]
     if not quick:
         return found

@@ -16,7 +16,7 @@ from torch.utils.flop_counter import flop_registry
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import Result
-from uavnav.bench.worlds import make_env
+from uavnav.bench.environments import make_env
 from uavnav.training.loop import make_collector, train
 from uavnav.training.loop import make_env as make_training_env
 

@@ -28,7 +28,7 @@ from uavnav.tasks.protocol import (
     GROUPS,
     LADDER_NAMES,
     MAX_STEPS,
-    SCRIPTS,
+    SCRIPTED,
     SPLITS,
     TASK_NAMES,
 )
@@ -275,7 +275,7 @@ def _value(name: str, told: str | None = None, usual: Any = None, **how: Any) ->
 
 
 TASKS = ", ".join(TASK_NAMES)
-RUN = f"a run's folder, a policy that ships (ppo-tanh), a Stable-Baselines3 .zip, or {', '.join(SCRIPTS)}"
+RUN = f"a run's folder, a policy that ships (ppo-tanh), a Stable-Baselines3 .zip, or {', '.join(SCRIPTED)}"
 NO_RUNS = "(default: runs if it has any, else the policies that ship)"
 LADDERS = (*LADDER_NAMES, *GROUPS)
 SECTIONS = (*BY_DEFAULT, *LONGER)
@@ -440,10 +440,10 @@ PLAYGROUND = Usage(
 )
 RENDER = Usage(
     "Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG.",
-    "render runs/ppo-paper/relu reactive --out flight.gif",
+    "render runs/ppo-paper/relu reactive --out episode.gif",
     [
         _value("runs", RUN, nargs="+", metavar="RUN"),
-        _value("--out", "an .mp4, .gif or .png file", Path("flight.gif")),
+        _value("--out", "an .mp4, .gif or .png file", Path("episode.gif")),
         *EPISODE,
         FAULTS,
         _value("--steps", "steps at most", 500),
@@ -542,7 +542,7 @@ LAYOUTS = Usage(
 KINDS: dict[str, tuple[str, dict[str, Usage]]] = {
     "Train": ("uavnav train ppo preset=fast out=runs/first", {"train": TRAIN, "study": STUDY, "runs": RUNS}),
     "Look": (
-        "uavnav render reactive random --layout 20 --out flight.gif",
+        "uavnav render reactive random --layout 20 --out episode.gif",
         {"evaluate": EVALUATE, "play": PLAY, "playground": PLAYGROUND, "render": RENDER},
     ),
     "Compare": (

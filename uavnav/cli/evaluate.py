@@ -12,7 +12,7 @@ from pathlib import Path
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
 from uavnav.evaluation.across import Flyer, across, of_policy, of_run
-from uavnav.evaluation.scripts import option, task_of
+from uavnav.evaluation.scripted import option, task_of
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies, shipped

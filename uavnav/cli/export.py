@@ -10,11 +10,11 @@ from uavnav.errors import ConfigError
 from uavnav.files import check_out
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import load_policy, zips
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import SCRIPTED
 
 
 def main(arguments: Namespace) -> int:
-    if arguments.run in SCRIPTS and not os.path.exists(arguments.run):
+    if arguments.run in SCRIPTED and not os.path.exists(arguments.run):
         raise ConfigError(f"{arguments.run}: a scripted policy has no network; give a trained one")
     check_out(path := Path(arguments.out))
     if not path.parent.is_dir():

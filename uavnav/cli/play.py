@@ -36,7 +36,7 @@ def main(arguments: Namespace) -> int:
     make_task(EMPTY, task=arguments.task)
     if arguments.task not in TITLES:
         given = ["--plugins", ",".join(arguments.plugins)] if arguments.plugins else []
-        words = ["render", "reactive", "--task", arguments.task, *given, "--out", "flight.gif"]
+        words = ["render", "reactive", "--task", arguments.task, *given, "--out", "episode.gif"]
         film = shlex.join(["uavnav", *words])
         raise ConfigError(f"--task {arguments.task}: the playground has no such task; watch it: {film}")
     opening = Opening(

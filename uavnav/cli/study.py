@@ -19,7 +19,7 @@ from rich.table import Table
 from uavnav import files, plugins, studies
 from uavnav.cli import commands
 from uavnav.errors import ConfigError
-from uavnav.evaluation import Protocol, scripts
+from uavnav.evaluation import Protocol, scripted
 from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
@@ -173,8 +173,9 @@ def main(arguments: Namespace) -> int:
         if drawing is not None and not failed:
             found = drawing.nearest()
             failed = train(found)
-        flying = bool(study.scripts) and not (untold or failed)
-        for words in scripted(found, out / str(study.scripts), study.scripted) if flying else ():
+        flying = bool(study.scripted_folder) and not (untold or failed)
+        home = out / str(study.scripted_folder)
+        for words in scripted_evaluations(found, home, study.scripted) if flying else ():
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
             commands.run("evaluate", [*words, "--quiet"])
     if untold or failed:
@@ -189,28 +190,28 @@ def main(arguments: Namespace) -> int:
     return 0
 
 
-def scripted(
+def scripted_evaluations(
     configurations: Sequence[Configuration], folder: Path, names: Sequence[str] = USUAL
 ) -> list[list[str]]:
-    """The episodes of scripts that a folder lacks: of some in the tasks of configurations, of the usual ones
-    on the rungs that are layouts of their own. Each is the words of `uavnav evaluate`.
+    """The episodes of scripted policies that a folder lacks: of some in the tasks of configurations, of the
+    usual ones on the rungs that are layouts of their own. Each is the words of `uavnav evaluate`.
     """
     wanted: dict[Protocol | None, tuple[Sequence[str], list[str]]] = {}
-    for configuration in (one for one in configurations if one.flights):
-        own, flights = configuration.config, configuration.flights
+    for configuration in (one for one in configurations if one.evaluations):
+        own, evaluations = configuration.config, configuration.evaluations
         climbed = [name for name in layouts.RUNGS if name in configuration.across]
-        rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
-        for flown in (*flights, *(flights[0]._replace(layouts=rung) for rung in rungs)):
+        rungs = [ladders.split_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
+        for flown in (*evaluations, *(evaluations[0]._replace(layouts=rung) for rung in rungs)):
             faults = flown.faults or own.faults
             task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
             where = str(flown.layouts), flown.episodes, flown.max_steps, flown.shield
-            protocol = scripts.protocol_in(task, *where)
+            protocol = scripted.protocol_in(task, *where)
             usual, more = [one for one in names if one in USUAL], ["--measures"] * configuration.measures
-            wanted[protocol] = (names, more) if flown in flights else wanted.get(protocol, (usual, more))
+            wanted[protocol] = (names, more) if flown in evaluations else wanted.get(protocol, (usual, more))
     return [
-        [*scripts.words(rules, folder, one), *more]
+        [*scripted.words(lacking, folder, one), *more]
         for one, (asked, more) in wanted.items()
-        if one is not None and (rules := scripts.missing(folder, one, asked))
+        if one is not None and (lacking := scripted.missing(folder, one, asked))
     ]
 
 

@@ -56,7 +56,7 @@ class Flyer(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """Its algorithm, or the name of a script: by this it has its colour."""
+        """Its algorithm, or the name of a scripted policy: by this it has its colour."""
         return self._first.algorithm if isinstance(self._first, Policy) else self.name
 
     def as_trained(self) -> Flyer:
@@ -267,7 +267,7 @@ def across(
             tell(f"left out: {which}; {fit} fit")
     turns, distances = chosen_among(scripted.world)
     if not alone and (scripted.world.n_turns, scripted.world.n_distances) != (turns, distances):
-        tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
+        tell(f"left out: the scripted policies, which choose among {turns} turns and {distances} distances")
     elif not alone:
         beside = [name for name in USUAL if name not in tasks]
         flyers = [*flyers, *map(of_policy, beside)]

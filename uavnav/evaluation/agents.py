@@ -37,7 +37,7 @@ class Policies:
         self._n_actions = n_actions
         self._groups: list[Agents | Alone] = []
 
-        def network(seeded: Seeded) -> tuple[object, ...] | None:  # None of a script
+        def network(seeded: Seeded) -> tuple[object, ...] | None:  # None of a scripted policy
             own = seeded[1]
             if not isinstance(own, Policy):
                 return None
@@ -49,7 +49,7 @@ class Policies:
             self._groups += [Agents(agents)] if agents else [Alone(*one) for one in some]
 
     def act(self, observation: Tensor, sizes: Sequence[int]) -> tuple[Tensor, Tensor | None]:
-        """An action for each row, and the numbers behind it unless a script acts: [F, obs] -> [F], [F, n].
+        """An action for each row, and the numbers behind it unless it is scripted: [F, obs] -> [F], [F, n].
 
         sizes: how many rows each policy has, in turn. Raises a ValueError for what is no action.
         """
@@ -129,7 +129,7 @@ class Agents:
 
 
 class Alone:
-    """Any other policy, such as a script: it may take only an observation, and return an array or a list."""
+    """Any other policy, such as a scripted one: it may take only an observation and give an array or list."""
 
     n = 1
 

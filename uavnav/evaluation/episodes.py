@@ -35,7 +35,7 @@ class Transition(NamedTuple):
     episode: Tensor  # [F] which they are: first all layouts of the first policy
     place: Tensor  # [F] where they are in `before`, `states` and `outcomes`
     action: Tensor  # [F] as it was executed
-    values: Tensor | None  # [F, n_actions] the numbers behind the actions; None where a script acts
+    values: Tensor | None  # [F, n_actions] the numbers behind the actions; None where a scripted policy acts
     before: State  # [P]
     states: State  # [P] after the step
     outcomes: Outcome  # [P]

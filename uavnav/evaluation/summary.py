@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluation import scripts
+from uavnav.evaluation import scripted
 from uavnav.runs import Run, metrics, paper
 from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
 from uavnav.runs.lately import Lately, sparkline, with_spread
@@ -173,9 +173,9 @@ def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
     if "succeeded" in flown:
         ends = f"sampled, {flown['succeeded'].mean():.0%} of episodes reach the goal"
     usual = (config.world, config.reward, config.faults) == (task.WORLD(), task.REWARD, NO_FAULTS)
-    beside = f", the scripted policy {scripts.REWARDS[config.task]:,.0f}"
+    beside = f", the scripted policy {scripted.REWARDS[config.task]:,.0f}"
     told = f"{ends}; reward {flown['reward'].mean():,.0f}"
-    return told + beside if usual and config.task in scripts.REWARDS else told
+    return told + beside if usual and config.task in scripted.REWARDS else told
 
 
 def report(run: Run) -> None:

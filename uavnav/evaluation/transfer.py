@@ -28,7 +28,7 @@ from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
 
-FLOWN = "flown_in"
+EVALUATED_IN = "evaluated_in"
 """The column that names the task of an episode."""
 SPEEDS = ("speed_min", "speed_max")
 """Fields of a world by which sensed velocities are scaled."""
@@ -81,7 +81,7 @@ def named(task: WrappedTask, layouts: str) -> str:
 
 
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
-    """Fly a policy's seeds in a place, greedy and sampled: a row an episode, with `mode` and `flown_in`.
+    """Fly a policy's seeds in a place, greedy and sampled: a row an episode, with `mode` and `evaluated_in`.
 
     A policy keeps its own memory; its proximities stay shares of the reach of its training, and sensed
     velocities of that world's greatest speed.
@@ -91,32 +91,32 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
         both = [name for name in SPEEDS if hasattr(own.world, name) and hasattr(task.world, name)]
         world = task.world.replace(**{name: getattr(own.world, name) for name in both})
         task = reached(task.replace(stack=own.stack, world=world), own.world.sensor_radius)
-    return who.fly(task, f"in {place.name}", quiet, place.measure).assign(**{FLOWN: place.name})
+    return who.fly(task, f"in {place.name}", quiet, place.measure).assign(**{EVALUATED_IN: place.name})
 
 
 @matplotlib.rc_context(style.STYLE)
 def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
     """The reward of each policy, as in training, in each task: a heat map; trained: a name's own task."""
     mine = table[(table["mode"] != "greedy") & (table["measure"] == "reward")]
-    names, worlds = ([*dict.fromkeys(mine[column])] for column in ("name", FLOWN))
-    found = mine.set_index(["name", FLOWN])
+    names, tasks = ([*dict.fromkeys(mine[column])] for column in ("name", EVALUATED_IN))
+    found = mine.set_index(["name", EVALUATED_IN])
     values = np.array(
-        [[found.loc[(name, world), "value"] for world in worlds] for name in names], dtype=np.float64
+        [[found.loc[(name, task), "value"] for task in tasks] for name in names], dtype=np.float64
     )
     figure = Figure(figsize=(style.WIDTH, 2.6 + 0.75 * len(names)), layout="constrained")
     axes = figure.subplots()
     image = axes.imshow(values, cmap="cividis", aspect="auto")
     for (row, column), value in np.ndenumerate(values):
-        one = found.loc[(names[row], worlds[column])]
+        one = found.loc[(names[row], tasks[column])]
         dark = np.array(image.to_rgba(np.array([value]))[0, :3]) @ np.array([0.3, 0.6, 0.1]) < 0.5
         look: dict[str, Any] = {"color": "white" if dark else style.INK, "size": 10}
         number = with_interval(one["value"], one["low"], one["high"], "\n", ", ")
         axes.text(column, row, number, ha="center", va="center", **look)
-        if trained.get(names[row]) == worlds[column]:
+        if trained.get(names[row]) == tasks[column]:
             axes.add_patch(
                 Rectangle((column - 0.47, row - 0.46), 0.94, 0.92, fill=False, color=style.OPEN, linewidth=2)
             )
-    axes.set_xticks(range(len(worlds)), worlds, rotation=20, ha="right", rotation_mode="anchor")
+    axes.set_xticks(range(len(tasks)), tasks, rotation=20, ha="right", rotation_mode="anchor")
     style.name_rows(axes, [f"{name} (of {trained[name]})" if trained.get(name) else name for name in names])
     axes.set(title="Reward per episode, framed: the task of training", xlabel="evaluated in")
     axes.grid(visible=False)
@@ -124,9 +124,9 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
     axes.tick_params(length=0)
     figure.colorbar(image, ax=axes, label="reward per episode", fraction=0.05)
     told = "; ".join(
-        f"{name} in {world} {style.number(values[row, column])}"
+        f"{name} in {task} {style.number(values[row, column])}"
         for row, name in enumerate(names)
-        for column, world in enumerate(worlds)
+        for column, task in enumerate(tasks)
     )
     return style.Drawn(figure, f"Reward per episode: {told}.")
 
@@ -136,9 +136,9 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     text = Table(
         title="Trained in, evaluated in: means and 95 % intervals over seeds", title_justify="left", box=None
     )
-    worlds = [*dict.fromkeys(table[FLOWN])]
-    for column in ("who", "trained in", "", "measure", *worlds):
-        text.add_column(column, justify="right" if column in worlds else "left")
+    tasks = [*dict.fromkeys(table[EVALUATED_IN])]
+    for column in ("who", "trained in", "", "measure", *tasks):
+        text.add_column(column, justify="right" if column in tasks else "left")
     kept = table[table["measure"].isin(PER_EPISODE)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
         ends = own[["value", "low", "high"]].to_numpy()
@@ -190,7 +190,7 @@ def transfer(
         visits = [visit(who, one, quiet) for one in places.values()]
         rows[who.name] = pd.concat(visits, ignore_index=True)
     trained = {who.name: homes[who.name].name if who.name in homes else "" for who in fit}
-    table = judged(rows, by=FLOWN)
+    table = judged(rows, by=EVALUATED_IN)
     kept = [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()]
     kept_rows = pd.concat(kept, ignore_index=True)
     kept_rows.attrs = {"episodes": episodes, "max_steps": limit}

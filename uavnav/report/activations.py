@@ -17,7 +17,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report import charts
-from uavnav.report.apart import flights
+from uavnav.report.apart import evaluations
 from uavnav.report.configurations import one_line
 from uavnav.report.frames import NUMBERS, Rows, columns, name
 from uavnav.report.verdicts import ALPHA, SEEDS
@@ -58,7 +58,7 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
     activations: a row a configuration and measure; activations_equal: of `judged`; activations_carried: of
     `carried`.
     """
-    flown, left_out = flights(folders, STUDY)
+    flown, left_out = evaluations(folders, STUDY)
     measured: dict[Where, dict[str, Array]] = {}
     for one in flown:
         if one.run is None:

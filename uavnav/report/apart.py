@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 
 from uavnav.report.configurations import apart, one_line
-from uavnav.report.frames import RULE, name, to_rule
+from uavnav.report.frames import REACTIVE, gap_to, name
 from uavnav.runs import Run, run_folders
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, MODES
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
-from uavnav.tasks.protocol import SCRIPTS, TASK_NAMES
+from uavnav.tasks.protocol import SCRIPTED, TASK_NAMES
 
 GREEDY = {"pqn"}
 """Algorithms that are judged greedily: an action at random, which learning needs, is none of theirs."""
@@ -27,7 +27,7 @@ def named(name: str, found: Interval) -> dict[str, float]:
     return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
 
 
-class Flight(NamedTuple):
+class Evaluated(NamedTuple):
     """An evaluation of a run, or of a scripted policy."""
 
     who: str  # the configuration, or the scripted policy
@@ -39,7 +39,7 @@ class Flight(NamedTuple):
     gap: Array  # `reward` minus that of `reactive` on the same layouts, [S]
 
 
-def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str]]:
+def evaluations(folders: Sequence[Path], study: str) -> tuple[list[Evaluated], list[str]]:
     """All evaluations of a study, none without a run; a line for what cannot be read; seeds are in order.
 
     Raises:
@@ -47,13 +47,13 @@ def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str
     """
     found, left_out = [], []
     for home in apart(folders, study):
-        scripted, rules = [], {}
+        scripted, reactive = [], {}
         for path in sorted((home / "baselines").glob("*.parquet")):
             rows = read_table(path, EVALUATED, "evaluate it again")
             scripted.append((path.name.split("-")[0].removesuffix(path.suffix), rows))
-            if scripted[-1][0] == RULE:
-                rules[_key(_how(rows))] = rows
-        found += [_flight(who, None, rows, rules) for who, rows in scripted if who in SCRIPTS]
+            if scripted[-1][0] == REACTIVE:
+                reactive[_key(_how(rows))] = rows
+        found += [_evaluation(who, None, rows, reactive) for who, rows in scripted if who in SCRIPTED]
         for path in run_folders(home)[0]:
             try:
                 run = Run(path, rows=False)
@@ -61,7 +61,7 @@ def flights(folders: Sequence[Path], study: str) -> tuple[list[Flight], list[str
                 mode = MODES[run.algorithm not in GREEDY]
                 for file in run.evaluations():
                     rows = read_table(file, EVALUATED | {"mode": "object"}, "evaluate the run again")
-                    found.append(_flight(who, run, rows[rows["mode"] == mode], rules))
+                    found.append(_evaluation(who, run, rows[rows["mode"] == mode], reactive))
             except RunError as error:
                 left_out.append(one_line(error))
     found = [one for one in found if len(one.reward)]
@@ -80,11 +80,11 @@ def _key(how: Mapping[str, Any]) -> tuple[Any, ...]:
     return tuple(how.get(key) for key in ("task", "layouts", "episodes", "max_steps", "faults", "shield"))
 
 
-def _flight(
-    who: str, run: Run | None, rows: pd.DataFrame, rules: Mapping[tuple[Any, ...], pd.DataFrame]
-) -> Flight:
+def _evaluation(
+    who: str, run: Run | None, rows: pd.DataFrame, reactive: Mapping[tuple[Any, ...], pd.DataFrame]
+) -> Evaluated:
     how = _how(rows, run)
-    rule = rules.get(_key(how), rows[:0])
-    own, scripted = (episodes.groupby("seed")["reward"].mean() for episodes in (rows, rule))
-    gap = np.empty(0) if rule.empty or rows.empty else to_rule(rows, rule)
-    return Flight(who, run, how, rows, own.to_numpy(), float(scripted.mean()), gap)
+    beside = reactive.get(_key(how), rows[:0])
+    own, scripted = (episodes.groupby("seed")["reward"].mean() for episodes in (rows, beside))
+    gap = np.empty(0) if beside.empty or rows.empty else gap_to(rows, beside)
+    return Evaluated(who, run, how, rows, own.to_numpy(), float(scripted.mean()), gap)

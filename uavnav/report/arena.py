@@ -74,9 +74,9 @@ def trajectories(
         Patch(color=style.OBSTACLE, label="obstacle"),
     ]
     style.legend(figure, handles, 4)
-    sets = ", ".join(map(str, layouts))
+    shown = ", ".join(map(str, layouts))
     return style.Drawn(
-        figure, f"Paths of drones, {mode}, and their steps on layouts {sets}: {'; '.join(said)}."
+        figure, f"Paths of drones, {mode}, and their steps on layouts {shown}: {'; '.join(said)}."
     )
 
 

@@ -71,10 +71,10 @@ def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
 
 
 def _actions(run: Run, path: Path, task: WrappedTask) -> pd.DataFrame:
-    """What a run's file says of its episodes, if they are a drone's on the task's sets; else a RunError."""
+    """What a run's file says of its episodes, if they are a drone's on test layouts; else a RunError."""
     table = read_table(path, BEHAVIOUR_COLUMNS | {"mode": "object"}, AGAIN)
-    if (sets := table.attrs.get("layouts", "test")) != "test":
-        raise RunError(f"{path}: episodes on layouts={sets}; {ONLY}")
+    if (split := table.attrs.get("layouts", "test")) != "test":
+        raise RunError(f"{path}: episodes on layouts={split}; {ONLY}")
     for column, right in {
         "seed": table["seed"].isin(run.seeds),
         "mode": table["mode"].isin(MODES),

@@ -30,14 +30,14 @@ def intervals(
     rows: Mapping[str, Array],
     printed: Mapping[str, float],
     axis: str,
-    rule: float = np.nan,
+    scripted: float = np.nan,
     width: float = style.WIDTH,
 ) -> style.Drawn:
     """A metric's seeds, mean, 95 % interval, interquartile mean and the paper's value: a row a configuration.
 
-    rows: label -> [S]; printed: label -> the paper's value; axis: the metric with its unit; rule: what the
-    scripted policy reaches; width: [inches]. The algorithms share a scale unless one would have less than a
-    fifth of it.
+    rows: label -> [S]; printed: label -> the paper's value; axis: the metric with its unit; scripted: what
+    the scripted policy reaches; width: [inches]. The algorithms share a scale unless one would have less than
+    a fifth of it.
     """
     if not any(np.isfinite(values).any() for values in rows.values()):
         return style.nothing(axis)
@@ -64,8 +64,8 @@ def intervals(
             beside = f"the paper's {style.number(theirs)}" if name in printed else ""
             said.append(f"{name} {style.said(found, beside)}")
         style.name_rows(axes, [f"{name.split(' ', 1)[-1]}, n = {len(rows[name])}" for name in members])
-        if np.isfinite(rule):
-            axes.axvline(rule, **style.RULED)
+        if np.isfinite(scripted):
+            axes.axvline(scripted, **style.SCRIPTED_LINE)
         axes.set_title(group + ("" if share else ", on its own scale"))
     panels[-1].set_xlabel(axis)
     handles = [
@@ -73,10 +73,10 @@ def intervals(
         style.mark("|", "interquartile mean", markersize=14, markeredgewidth=2),
         style.mark("o", "a seed", markersize=5, alpha=0.5),
         *[style.mark("D", "the paper", markersize=8, markerfacecolor="white")] * bool(printed),
-        *[Line2D([], [], label=style.RULE, **style.RULED)] * bool(np.isfinite(rule)),
+        *[style.scripted_mark()] * bool(np.isfinite(scripted)),
     ]
     style.legend(figure, handles, 3)
-    beside = f"; {style.RULE} {style.number(rule)}" if np.isfinite(rule) else ""
+    beside = f"; {style.SCRIPTED_NAME} {style.number(scripted)}" if np.isfinite(scripted) else ""
     return style.Drawn(figure, f"{axis}, mean over seeds: {'; '.join(said)}{beside}.")
 
 
@@ -84,19 +84,19 @@ def intervals(
 def episodes(
     rows: Mapping[str, tuple[Array, Interval]],
     looks: Mapping[str, tuple[str, str]],
-    rule: float,
+    scripted: float,
     axis: str,
     width: float = style.WIDTH,
 ) -> style.Drawn:
     """What the scripted policy and others reach on test episodes: a row each, the best first.
 
     rows: label -> one number a seed, or an episode, [S], and their mean; looks: label -> a colour and a line;
-    rule: what the scripted policy reaches; axis: the metric in words; width: [inches].
+    scripted: what the scripted policy reaches; axis: the metric in words; width: [inches].
     """
     if not rows:
         return style.nothing(axis)
     values = {name: found.value for name, (_, found) in rows.items()}
-    values |= {style.RULE: rule} if np.isfinite(rule) else {}
+    values |= {style.SCRIPTED_NAME: scripted} if np.isfinite(scripted) else {}
     order = sorted(values, key=lambda name: -values[name])
     small = max(map(abs, values.values())) < 100
     numbers = [style.number(values[name]) if small else f"{values[name]:,.0f}" for name in order]
@@ -106,15 +106,17 @@ def episodes(
     figure = Figure(figsize=(width, 0.24 * lines * len(order) + 0.55), layout="constrained")
     axes, said = figure.subplots(), []
     for row, name in enumerate(order):
-        if name == style.RULE:
-            axes.axvline(rule, **style.RULED)
-            axes.plot(rule, row, "D", color=style.SCRIPTED, markersize=8)
-            said.append(f"{style.RULE} {style.number(rule)}")
+        if name == style.SCRIPTED_NAME:
+            axes.axvline(scripted, **style.SCRIPTED_LINE)
+            axes.plot(scripted, row, "D", color=style.SCRIPTED, markersize=8)
+            said.append(f"{style.SCRIPTED_NAME} {style.number(scripted)}")
         else:
             found = style.row_of_seeds(axes, row, rows[name][0], looks[name][0], rows[name][1])
             said.append(f"{name} {style.said(found)}")
     style.name_rows(axes, named)
     axes.set_xlabel(axis)
+    places = np.concatenate([list(values.values()), *(seeds for seeds, _ in rows.values())])
+    axes.set_xlim(style.legible(places, axes.get_xlim()))  # the seeds, not the intervals of a few
     return style.Drawn(figure, f"{axis}: {'; '.join(said)}.")
 
 
@@ -190,12 +192,12 @@ def curves(
     title: str = "",
     width: float = style.WIDTH,
     looks: Mapping[str, tuple[str, str]] | None = None,
-    rule: float = np.nan,
+    scripted: float = np.nan,
 ) -> style.Drawn:
     """Learning curves as the paper's figures 4 and 5: a line and a band each, the paper's mean dashed.
 
     configurations: by label; printed: the paper's mean by label; width: [inches]; looks: a colour and a line
-    by label, or else by activation; rule: what the scripted policy earns per frame.
+    by label, or else by activation; scripted: what the scripted policy earns per frame.
     """
     metric = words("reward", PER_FRAME)
     title = f"{title}{metric} in training"
@@ -214,8 +216,8 @@ def curves(
         colours[name] = colour
         end = Interval(*line.iloc[-1]) if len(line) else Interval(np.nan, np.nan, np.nan, 0)
         ends.append(f"{name} {style.said(end._replace(n=int(end.n)), beside)}")
-    if np.isfinite(rule):
-        axes.axhline(rule, label=style.RULE, **style.RULED)
+    if np.isfinite(scripted):
+        axes.axhline(scripted, label=style.SCRIPTED_NAME, **style.SCRIPTED_LINE)
     style.keep_lines_legible(axes)
     axes.set_ylabel(metric)
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
@@ -313,7 +315,11 @@ def survival(
         shares = curves[name]
         seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
         seen.iloc[[0, -1]] = True
-        look = {"color": colour, "linestyle": dashes, "linewidth": 1.8} if name != style.RULE else style.RULED
+        look = (
+            {"color": colour, "linestyle": dashes, "linewidth": 1.8}
+            if name != style.SCRIPTED_NAME
+            else style.SCRIPTED_LINE
+        )
         axes.step(seen.index[seen], shares[seen], where="post", label=name, **look)
         over = shares.index[shares <= 0.5]
         half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"

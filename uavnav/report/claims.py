@@ -48,7 +48,7 @@ NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "le
 FIVE = ("ppo", "dqn", "sac", "a2c", "c51")
 PAIR = ("tanh", "relu")
 """Algorithms of the study `worlds`; activations of most side studies, the bounded one first."""
-ALL_WORLDS = "all worlds"
+ALL_TASKS = "all tasks"
 """The mean over tasks."""
 RUNGS = {0: "density-0", 4: "density-4", 8: "drone", 16: "density-16", 20: "density-20"}
 """Tasks by their number of obstacles."""
@@ -68,7 +68,7 @@ from its configuration's median, to the mean of that in its task.
 """
 EXPLAINS = {VARIATION: "gradient_variation_explains", SCATTER: "scatter_explains"}
 """A rank correlation with the reward across the configurations of a task, a number a seed."""
-NO_SAC = "all worlds, without SAC"
+NO_SAC = "all tasks, without SAC"
 """The mean over tasks of such correlations among the configurations of other algorithms."""
 FAST, TUNED = "fast", "tuned"
 """Studies of other settings: the preset, and what 40 trials found."""
@@ -96,7 +96,7 @@ class Evidence(Protocol):
 
     study: `main`, `initial` (the first reward), `baseline` (the same frames without it), `FAST` or `TUNED`;
     of claims 12 to 16 a task by its name, with the preset where it is not the default (`drone, fast`), or
-    `ALL_WORLDS`.
+    `ALL_TASKS`.
     """
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array: ...
@@ -274,9 +274,9 @@ def at(metric: str, ladder: str, rung: float) -> str:
     return f"{metric} at {ladder} {rung:g}"
 
 
-def _above(text: str, metric: str, first: str, second: str, world: str, beside: bool = False) -> Part:
-    """The first algorithm is above the second in a world, means of the activations."""
-    up, down = ([(one, activation, world) for activation in PAIR] for one in (first, second))
+def _above(text: str, metric: str, first: str, second: str, task: str, beside: bool = False) -> Part:
+    """The first algorithm is above the second in a task, means of the activations."""
+    up, down = ([(one, activation, task) for activation in PAIR] for one in (first, second))
     return _means(text, metric, up, down, beside=beside)
 
 
@@ -310,14 +310,14 @@ def _density() -> list[Part]:
         _above(falls, SLOPE, "dqn", "ppo", "drone"),
         *(_above(text, metric, "dqn", "ppo", "drone") for metric, text in eight.items()),
         _own_rungs(),
-        *(_above(text, "reward", "dqn", "ppo", world, beside=True) for world, text in own.items()),
+        *(_above(text, "reward", "dqn", "ppo", task, beside=True) for task, text in own.items()),
     ]
 
 
 def _own_rungs() -> Part:
     """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope is below 0."""
-    worlds = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
-    terms = tuple(Term(which, activation, "reward", world) for world, which, activation in worlds)
+    tasks = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
+    terms = tuple(Term(which, activation, "reward", task) for task, which, activation in tasks)
     signs = (1, 1, -1, -1)
     weights = tuple(float(one) * sign / len(PAIR) for one in slopes(tuple(RUNGS)) for sign in signs)
     text = "reward: PPO minus DQN falls with the obstacles that both were trained among"
@@ -332,31 +332,31 @@ def slopes(rungs: Sequence[float]) -> Array:
 
 def _slalom() -> list[Part]:
     """Two independent tests, at the widest narrow gap; what else the same policies do is only shown."""
-    worlds = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
-    asked = itertools.product(PASSAGES.items(), NARROW, worlds.items())
+    tasks = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
+    asked = itertools.product(PASSAGES.items(), NARROW, tasks.items())
     parts = [
         _above(
             f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}",
             at(metric, "slalom", gap),
             "dqn",
             "ppo",
-            world,
+            task,
             beside=place > 1,
         )
-        for place, ((metric, label), gap, (world, words)) in enumerate(asked)
+        for place, ((metric, label), gap, (task, words)) in enumerate(asked)
     ]
     crashes = "share of episodes that end in a crash: DQN below PPO at gaps of 100 px, trained on"
     crashed = at(CRASHED, "slalom", 100)
     return parts + [
-        _above(f"{crashes} {words}", crashed, "ppo", "dqn", world, beside=True)
-        for world, words in worlds.items()
+        _above(f"{crashes} {words}", crashed, "ppo", "dqn", task, beside=True)
+        for task, words in tasks.items()
     ]
 
 
-def _order(world: str, *names: str) -> tuple[Part, ...]:
+def _order(task: str, *names: str) -> tuple[Part, ...]:
     """Each algorithm's reward is above the next one's in a task."""
     return tuple(
-        _above(f"reward: {one.upper()} above {two.upper()} in {world}", "reward", one, two, world)
+        _above(f"reward: {one.upper()} above {two.upper()} in {task}", "reward", one, two, task)
         for one, two in itertools.pairwise(names)
     )
 
@@ -373,21 +373,21 @@ def _gradients() -> list[Part]:
         _means(
             f"{one.upper()}: {text}, mean over tasks",
             metric,
-            [(one, unbounded, ALL_WORLDS)],
-            [(one, bounded, ALL_WORLDS)],
+            [(one, unbounded, ALL_TASKS)],
+            [(one, bounded, ALL_TASKS)],
         )
         for (metric, text), one in itertools.product(questions.items(), FIVE)
     ]
     explains = [
         _means(
-            f"{words[metric]}, {rank}" + ", without SAC" * (worlds == NO_SAC),
+            f"{words[metric]}, {rank}" + ", without SAC" * (tasks == NO_SAC),
             name,
-            [(RANKED, NONE, worlds)],
-            [(RANKED, RANKED, worlds)],
+            [(RANKED, NONE, tasks)],
+            [(RANKED, RANKED, tasks)],
             paired=True,
-            beside=worlds == NO_SAC,
+            beside=tasks == NO_SAC,
         )
-        for (metric, name), worlds in itertools.product(EXPLAINS.items(), (ALL_WORLDS, NO_SAC))
+        for (metric, name), tasks in itertools.product(EXPLAINS.items(), (ALL_TASKS, NO_SAC))
     ]
     return less + explains
 

@@ -25,7 +25,7 @@ from uavnav.runs.evaluations import Protocol
 from uavnav.runs.lately import sparkline
 from uavnav.runs.metrics import EVALUATED, METRICS, own, per_seed
 from uavnav.runs.tables import RunError, read_table
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import SCRIPTED
 from uavnav.tasks.world import World
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Contender(NamedTuple):
 def contend(
     names: Sequence[str], activation: str | None = None, shield: bool = False, **asked: Any
 ) -> list[Contender]:
-    """Read rows of runs, and of scripts in a `baselines/` above the first run; all else is evaluated now.
+    """Read rows of runs, and of scripted policies in a `baselines/` above the first run; evaluate all else.
 
     activation: of a zip's hidden layers; shield: each is evaluated once more, under the shield; asked: the
     `episodes` or `max_steps` with which all are evaluated now.
@@ -68,7 +68,7 @@ def contend(
     Raises:
         LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
     """
-    runs = {name: _of_run(name, **asked) for name in names if name not in SCRIPTS and not _is_policy(name)}
+    runs = {name: _of_run(name, **asked) for name in names if name not in SCRIPTED and not _is_policy(name)}
     protocol = next((one.protocol for one in runs.values()), Protocol(**asked).header())
     first = next(iter(runs), None)
     found = []
@@ -98,8 +98,8 @@ def _scripted(run: str | None) -> WrappedTask:
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str | None) -> Contender | None:
-    """A script with episodes that a folder above a run keeps, as `uavnav evaluate` wrote them; else None."""
-    if name not in SCRIPTS or run is None or protocol != Protocol().header():
+    """A scripted policy with the episodes that a folder above a run keeps, if they are as asked, or None."""
+    if name not in SCRIPTED or run is None or protocol != Protocol().header():
         return None
     path = Path(run).absolute() / "config.yaml"
     if read_settings(path).get("task", "drone") != "drone":

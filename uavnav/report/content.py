@@ -29,7 +29,7 @@ from uavnav.report import (
     whys,
     worlds,
 )
-from uavnav.report.apart import flights
+from uavnav.report.apart import evaluations
 from uavnav.report.claims import (
     CLAIMS,
     COLUMNS,
@@ -103,7 +103,7 @@ class Content:
 
     @functools.cached_property
     def baseline_rows(self) -> list[list[str]]:
-        """Scripts and people with the study's configurations, as a table."""
+        """Scripted policies and people with the study's configurations, as a table."""
         return tables.baselines(self.baselines, studies.paper_configurations(self.studies.main))
 
     @functools.cached_property
@@ -178,7 +178,7 @@ def gather(
             "sensitivity": frames.sensitivity(dealt),
             "configurations": frames.sizes(dealt),
             "effects": frames.effects(dealt),
-            "worlds": frames.one_against_many(dealt),
+            "environments": frames.one_against_many(dealt),
             "vectorised": frames.estimates(frames.per_seed_values(vectorised)),
             "wide": frames.estimates(frames.per_seed_values(studies.wide(dealt))),
             "speed": frames.speed(of_paper),
@@ -201,7 +201,7 @@ def gather(
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
         for study in (longer, noise, horizon):
-            found_apart, unread_too = flights(folders, study.STUDY)
+            found_apart, unread_too = evaluations(folders, study.STUDY)
             numbers |= {study.STUDY: study.table(found_apart)} if found_apart else {}
             left_out += unread_too
         for gathered, unread_too in (one.gather(folders) for one in (ambiguities, activations, learned)):

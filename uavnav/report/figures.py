@@ -12,7 +12,7 @@ from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
 from uavnav.report import activations, arena, behaviour, charts, horizon, learned, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
-from uavnav.report.frames import LIMIT, RULE, least_to_most, name
+from uavnav.report.frames import LIMIT, REACTIVE, least_to_most, name
 from uavnav.report.studies import Configurations
 from uavnav.report.templating import Figure
 from uavnav.report.verdicts import COUNTS
@@ -67,7 +67,7 @@ def draw(
     if of_worlds and (density := worlds.ladder(of_worlds, "density", width)):
         caption = (
             "The density ladder: policies trained in the paper's task, means over activations with Welch's"
-            " 95 % intervals over seeds. Dotted and dashed: scripts."
+            " 95 % intervals over seeds. Dotted and dashed: scripted policies."
         )
         found.append(Figure("worlds-density", "worlds", density, caption))
     for one, caption in FURTHER.items():
@@ -94,9 +94,9 @@ def _forest(verdicts: pd.DataFrame, width: float) -> Figure:
     return Figure("forest", "verdicts", charts.forest(table, width), caption)
 
 
-def _of_rule(gaps: pd.DataFrame, column: str) -> float:
+def _of_reactive(gaps: pd.DataFrame, column: str) -> float:
     """What the scripted policy reaches on the test layouts; NaN without its episodes."""
-    return float(next(iter(gaps.loc[gaps["who"] == RULE, column]), np.nan))
+    return float(next(iter(gaps.loc[gaps["who"] == REACTIVE, column]), np.nan))
 
 
 def _curves(configurations: Configurations, width: float) -> list[Figure]:
@@ -121,23 +121,23 @@ def _curves(configurations: Configurations, width: float) -> list[Figure]:
 
 def _training(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     """Configurations side by side by their reward in training."""
-    rule = _of_rule(gaps, "per_frame")
+    earned = _of_reactive(gaps, "per_frame")
     printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
     caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
-    if np.isfinite(rule):
-        caption += f" Dashed: the scripted policy `{RULE}` on the test layouts."
-    drawn = charts.intervals(_rewards(values, PRIMARY), printed, words("reward", PRIMARY), rule, width)
+    if np.isfinite(earned):
+        caption += f" Dashed: the scripted policy `{REACTIVE}` on the test layouts."
+    drawn = charts.intervals(_rewards(values, PRIMARY), printed, words("reward", PRIMARY), earned, width)
     return Figure("configurations-reward", "tables", drawn, caption)
 
 
 def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
-    """The figure of the first screen, as wide as the page: the reward of test episodes, with the rule's."""
+    """The first screen's figure, as wide as the page: reward of test episodes, the scripted policy's too."""
     seeds, sampled = _rewards(values, SAMPLED), gaps[gaps["mode"] == MODES[1]]
     known = sampled[sampled["who"].isin(seeds)].set_index("who")[["reward", "low", "high", "n"]]
     rows = {str(who): (seeds[str(who)], Interval(*one)) for who, *one in known.itertuples()}
     full = style.FULL if width >= style.WIDTH else width
     looks = {label: (style.of_pilot(label), "-") for label in rows}
-    drawn = charts.episodes(rows, looks, _of_rule(gaps, "reward"), "reward per test episode", full)
+    drawn = charts.episodes(rows, looks, _of_reactive(gaps, "reward"), "reward per test episode", full)
     limits = sampled["limit"].dropna()
     limit = f" Episodes end at a collision, or after {limits.max():,.0f} steps." if len(limits) else ""
     caption = (
@@ -160,8 +160,8 @@ def _paths(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[
     shown = {name(*key): table[table["layout"] >= 0] for key, table in chosen.items()}
     if not shown:
         return []
-    sets = layouts.load("test").numpy()
-    drawn = arena.trajectories(shown, sets, SHOWN_LAYOUTS, World(), mode="sampled", width=width)
+    all_layouts = layouts.load("test").numpy()
+    drawn = arena.trajectories(shown, all_layouts, SHOWN_LAYOUTS, World(), mode="sampled", width=width)
     caption = (
         f"As the paper's Figures {' and '.join(map(str, paper.PATHS))}: the first seed's episodes on"
         f" {len(SHOWN_LAYOUTS)} test layouts, at most {WATCHED_STEPS} steps, as in training (sampled), with"
@@ -197,7 +197,7 @@ def _survival(
     counted = means.set_index("configuration")["n"]
     shown = [label for label in (name(*key) for key in configurations) if label in survival]
     episodes = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
-    episodes |= {style.RULE: survival[RULE]} if RULE in survival else {}
+    episodes |= {style.SCRIPTED_NAME: survival[REACTIVE]} if REACTIVE in survival else {}
     caption = (
         "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and"
         " is no collision. Sampled."

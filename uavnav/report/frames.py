@@ -62,7 +62,7 @@ OVERESTIMATION = {
     "overestimation": "overestimation [reward]",
 }
 """What a seed expects and gets: columns of `evaluation.values.overestimation`."""
-RULE = "reactive"
+REACTIVE = "reactive"
 """The scripted policy that everything learned is compared with: `uavnav.tasks.baselines.reactive`."""
 VECTORISED = "many environments"
 """The setting in which the study in many environments differs from that in one."""
@@ -368,7 +368,7 @@ def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
     return found if {*found["algorithm"]} - {*paper.TABLE_OF} else found[:0]
 
 
-# -- the paper's numbers, and what scripts reach -------------------------------------------------------------
+# -- the paper's numbers, and what scripted policies reach ---------------------------------------------------
 
 
 @columns("algorithm", "definition", "what", "share", "n")
@@ -448,15 +448,15 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> Rows:
 
 
 @columns(
-    *("who", "algorithm", "mode", "limit", "n", "episodes", "up", "reward", "low", "high"),
+    *("who", "algorithm", "mode", "limit", "n", "episodes", "truncated", "reward", "low", "high"),
     *("per_frame", "gap", "gap_low", "gap_high", "above"),
 )
 def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -> Rows:
-    """Reward of test episodes, and its gap to the rule's on the same layouts.
+    """Reward of test episodes, and its gap to that of `reactive` on the same layouts.
 
-    `up` is the share of episodes that the time limit [steps] ended, `above` the share of seeds above the
-    rule. A gap is a mean over seeds of each seed's mean over layouts, with Student's 95 % interval over
-    seeds; it is NaN without episodes of the rule on the same layouts and below the same time limit.
+    `truncated` is the share of episodes that the time limit [steps] ended, `above` the share of seeds above
+    `reactive`. A gap is a mean over seeds of each seed's mean over layouts, with Student's 95 % interval over
+    seeds; it is NaN without episodes of `reactive` on the same layouts and below the same time limit.
     `per_frame` is reward over steps, mean over seeds.
     """
     known = [(who, "", "scripted", table) for who, table in scripted.items()]
@@ -464,7 +464,7 @@ def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -
         (name(*key), key[0], definition.split()[0], episodes_of(one, definition))
         for definition, (key, one) in itertools.product(EVALUATIONS, configurations.items())
     ]
-    rule = finished(scripted[RULE]) if RULE in scripted else pd.DataFrame()
+    of_reactive = finished(scripted[REACTIVE]) if REACTIVE in scripted else pd.DataFrame()
     for who, algorithm, mode, table in known:
         ended = finished(table)
         if ended.empty:
@@ -472,7 +472,7 @@ def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -
         by_seed = ended.groupby("seed")
         reward = stats.difference([by_seed["reward"].mean().to_numpy()])
         per_frame = (by_seed["reward"].sum() / by_seed["steps"].sum()).mean()
-        own = np.empty(0) if who == RULE else to_rule(ended, rule)
+        own = np.empty(0) if who == REACTIVE else gap_to(ended, of_reactive)
         gap = stats.difference([own])[:3], float((own > 0).mean()) if len(own) else np.nan
         facts = _limit(ended), reward.n, len(ended), ended["truncated"].mean()
         yield [who, algorithm, mode, *facts, *reward[:3], per_frame, *gap[0], gap[1]]
@@ -483,14 +483,14 @@ def _limit(episodes: pd.DataFrame) -> float:
     return float(episodes.loc[episodes["truncated"], "steps"].max())
 
 
-def to_rule(episodes: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
-    """Each seed's mean gap to the rule on the same layouts [S]; none if their time limits differ."""
-    if rule.empty or not {*episodes["layout"]} <= {*rule["layout"]}:
+def gap_to(episodes: pd.DataFrame, scripted: pd.DataFrame) -> stats.Array:
+    """Each seed's mean gap to a scripted policy on the same layouts [S]; none if their time limits differ."""
+    if scripted.empty or not {*episodes["layout"]} <= {*scripted["layout"]}:
         return np.empty(0)
-    if abs(_limit(episodes) - _limit(rule)) > 0:  # a time limit that ended no episode is NaN
+    if abs(_limit(episodes) - _limit(scripted)) > 0:  # a time limit that ended no episode is NaN
         return np.empty(0)
-    of_rule = episodes["layout"].map(rule.groupby("layout")["reward"].mean())
-    return (episodes["reward"] - of_rule).groupby(episodes["seed"]).mean().to_numpy()
+    of_scripted = episodes["layout"].map(scripted.groupby("layout")["reward"].mean())
+    return (episodes["reward"] - of_scripted).groupby(episodes["seed"]).mean().to_numpy()
 
 
 def passing(gaps: pd.DataFrame) -> pd.DataFrame:
@@ -502,7 +502,7 @@ def passing(gaps: pd.DataFrame) -> pd.DataFrame:
 
 
 def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Rows of scripts and people: `baselines/*.parquet` in the report's folders; what cannot be read."""
+    """Rows of scripted policies and people, `baselines/*.parquet` in the folders; what cannot be read."""
     found, left_out = {}, []
     for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
         try:
@@ -525,9 +525,9 @@ def speed(configurations: Configurations) -> Rows:
             yield [name(*key), 3600 * took, len(run.seeds), processor]
 
 
-@columns("study", "algorithm", "activation", "seeds", "frames", "worlds")
+@columns("study", "algorithm", "activation", "seeds", "frames", "n_envs")
 def sizes(studies: Studies) -> Rows:
-    """How large each study is; frames and environments (`worlds`) are a seed's."""
+    """How large each study is; frames and environments are a seed's."""
     named = {"main": paper_configurations(studies.main), VECTORISED: studies.vectorised}
     named |= {"baseline": studies.baseline, "initial": studies.initial, **studies.switches}
     for study, found in {**named, "tuned": studies.tuned}.items():

@@ -15,14 +15,14 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.colours import colours
 from uavnav.report import charts
-from uavnav.report.apart import Flight, named
+from uavnav.report.apart import Evaluated, named
 
 STUDY = "horizon"
 USUAL = 0.99
 """The gamma that others are compared with."""
 
 
-def table(found: Sequence[Flight]) -> pd.DataFrame:
+def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     """A row a time limit, length of training and gamma.
 
     Columns: n; `value`, the reward; `survive`, the share of episodes that reach the time limit [%]; `gain`,
@@ -65,7 +65,7 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             at = line["frames"] / 1e6 + 0.02 * gammas.index(gamma)  # so that no interval hides another
             axes.errorbar(at, line["value"], ends, color=colour, marker=marker, capsize=3)
             said.append(f"{limit:,} steps, gamma {gamma:g}: {style.number(line['value'].iloc[-1])}")
-        axes.axhline(panel["scripted"].iloc[0], **style.RULED)
+        axes.axhline(panel["scripted"].iloc[0], **style.SCRIPTED_LINE)
         axes.set_title(f"at most {limit:,} steps")
         axes.set_xlabel("million frames")
         axes.set_ylabel("reward per episode")
@@ -73,5 +73,9 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         style.mark(marker, f"γ = {gamma:g}", markerfacecolor=colour, markeredgecolor=colour)
         for gamma, (colour, marker) in looks.items()
     ]
-    style.legend(drawn, [*handles, matplotlib.lines.Line2D([], [], label=style.RULE, **style.RULED)], 4)
+    style.legend(
+        drawn,
+        [*handles, style.scripted_mark()],
+        4,
+    )
     return style.Drawn(drawn, f"Reward after the longest training: {'; '.join(said)}.")

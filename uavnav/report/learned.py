@@ -11,7 +11,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report import charts
-from uavnav.report.apart import Flight, flights
+from uavnav.report.apart import Evaluated, evaluations
 from uavnav.report.frames import NUMBERS, Rows, columns
 from uavnav.runs.metrics import OWN, PER_EPISODE, of_episodes
 from uavnav.tasks.faults import from_words
@@ -35,16 +35,16 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
     learned: a row a task, policy, shield and measure; learned_ahead: of `ahead`; learned_shielded: of
     `shielded`, also for the configurations of the study `paper`.
     """
-    found, left_out = flights(folders, STUDY)
+    found, left_out = evaluations(folders, STUDY)
     if not found:
         return {}, left_out
     found = [one._replace(who=f"{one.run.algorithm.upper()} best") if one.run else one for one in found]
-    of_paper, unread = flights(folders, "paper")
+    of_paper, unread = evaluations(folders, "paper")
     own = table(found)
     return {STUDY: own, AHEAD: ahead(own), SHIELDED: shielded([*found, *of_paper])}, [*left_out, *unread]
 
 
-def place(one: Flight) -> str:
+def place(one: Evaluated) -> str:
     """The task that was flown, its noise, and the time limit where it is more than `USUAL` steps."""
     noise = one.run.config["faults"]["noise"] if one.run else from_words(one.how["faults"]).noise
     limit = one.how["max_steps"]
@@ -53,7 +53,7 @@ def place(one: Flight) -> str:
 
 
 @columns("place", "who", "learned", "shield", "measure", *NUMBERS)
-def table(found: Sequence[Flight]) -> Rows:
+def table(found: Sequence[Evaluated]) -> Rows:
     """A row a task, policy, shield and measure: the mean over seeds and its 95 % interval."""
     for one in sorted(found, key=lambda one: (place(one), one.how["shield"], not one.run)):
         seeds = of_episodes(one.rows)
@@ -65,13 +65,16 @@ def table(found: Sequence[Flight]) -> Rows:
 def ahead(found: pd.DataFrame) -> pd.DataFrame:
     """What a learned policy earns over the scripted one with the most reward in a task.
 
-    A row a task, shield and learned policy, `who`. Of the scripted ones `rule` has most reward, `scripted`;
-    `gap` is the learned one's to it, with its 95 % interval over seeds; `verdict`: learned, scripted or open.
+    A row a task, shield and learned policy, `who`. Of the scripted ones `best_scripted` has most reward,
+    `scripted`; `gap` is to it, with its 95 % interval over seeds; `verdict`: learned, scripted or
+    open.
     """
     rewards = found[found["measure"] == "reward"]
-    own, rules = rewards[rewards["learned"]], rewards[~rewards["learned"]]
-    best = rules.sort_values("value").drop_duplicates(["place", "shield"], keep="last")
-    best = best[["place", "shield", "who", "value"]].rename(columns={"who": "rule", "value": "scripted"})
+    own, others = rewards[rewards["learned"]], rewards[~rewards["learned"]]
+    best = others.sort_values("value").drop_duplicates(["place", "shield"], keep="last")
+    best = best[["place", "shield", "who", "value"]].rename(
+        columns={"who": "best_scripted", "value": "scripted"}
+    )
     both = own.drop(columns=["learned", "measure"]).merge(best, on=["place", "shield"])
     for name, of in (("gap", "value"), ("gap_low", "low"), ("gap_high", "high")):
         both[name] = both.pop(of) - both["scripted"]
@@ -80,7 +83,7 @@ def ahead(found: pd.DataFrame) -> pd.DataFrame:
 
 
 @columns("place", "who", "value", "gain", "gain_low", "gain_high", "n", "collisions", "left")
-def shielded(found: Sequence[Flight]) -> Rows:
+def shielded(found: Sequence[Evaluated]) -> Rows:
     """What the shield changes: a row a task and learned policy that was flown with and without it.
 
     Columns place, who, n; `value`, the reward without it; `gain` in reward, seed by seed, with its 95 %

@@ -14,7 +14,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report import charts
-from uavnav.report.apart import Flight, named
+from uavnav.report.apart import Evaluated, named
 from uavnav.tasks.protocol import MAX_STEPS
 
 STUDY = "longer"
@@ -33,7 +33,7 @@ class Where(NamedTuple):
     frames: int  # of training
 
 
-def table(found: Sequence[Flight]) -> pd.DataFrame:
+def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     """A row a configuration, split, time limit and length of training.
 
     Columns: n and `value`, the reward; `gap` to the scripted policy, whose reward is `scripted`, and how many
@@ -69,7 +69,7 @@ def table(found: Sequence[Flight]) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values(by, ignore_index=True)
 
 
-def best(flown: Mapping[Where, Flight], where: Where, algorithms: Collection[str]) -> Where | None:
+def best(flown: Mapping[Where, Evaluated], where: Where, algorithms: Collection[str]) -> Where | None:
     """Of some algorithms, the configuration that earns most on validation layouts with the same time limit
     and length, as it was flown on the layouts of `where`; None where there is none.
     """
@@ -105,7 +105,7 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             axes.errorbar(line["frames"] / 1e6, line["value"], charts.errors(line), **look)
             last = line.iloc[-1]
             said.append(f"{algorithm.upper()} {settings} {activation} {style.number(last['value'])}")
-        axes.axhline(panel["scripted"].iloc[0], **style.RULED)
+        axes.axhline(panel["scripted"].iloc[0], **style.SCRIPTED_LINE)
         axes.set_xscale("log")
         ticks = sorted(shown["frames"].unique() / 1e6)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
@@ -116,5 +116,9 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     handles = [
         style.mark("o", name, markerfacecolor=style.COLOURS[name]) for name in shown["activation"].unique()
     ]
-    style.legend(drawn, [*handles, matplotlib.lines.Line2D([], [], label=style.RULE, **style.RULED)], 3)
+    style.legend(
+        drawn,
+        [*handles, style.scripted_mark()],
+        3,
+    )
     return style.Drawn(drawn, f"Reward on test layouts after the longest training: {'; '.join(said)}.")

@@ -16,7 +16,7 @@ from uavnav.errors import OneLineError
 from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
-from uavnav.report.frames import RULE, least_to_most
+from uavnav.report.frames import REACTIVE, least_to_most
 from uavnav.report.templating import Figure
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
@@ -201,20 +201,20 @@ def _group(
         seeds = rewards.groupby(one.episodes["seed"]).mean()
         dots = seeds if len(seeds) > 1 else rewards  # a number a seed, or an episode of a single seed
         rows[one.name] = dots.to_numpy(np.float64), one.reward[0]
-    rule = earned = np.nan
+    reward = earned = np.nan
     if scripted is not None:
-        rule, sums = scripted.reward[0].value, scripted.episodes[["reward", "steps"]].sum()
+        reward, sums = scripted.reward[0].value, scripted.episodes[["reward", "steps"]].sum()
         earned = sums["reward"] / sums["steps"]
     learned = {one.name: one.configuration for one in members if one.configuration is not None}
     task = str(members[0].place["task"])
     figures = []
     if rows:
-        draw = functools.partial(charts.episodes, rows, looks, rule, "reward of a test episode")
+        draw = functools.partial(charts.episodes, rows, looks, reward, "reward of a test episode")
         words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
         figures.append(Figure(f"ranking-{place + 1}", "runs", draw(), words, draw(width=style.NARROW)))
     if any(len(one.episodes) for one in learned.values()):
         mine = {name: looks[name] for name in learned}
-        draw = functools.partial(charts.curves, learned, {}, looks=mine, rule=earned)
+        draw = functools.partial(charts.curves, learned, {}, looks=mine, scripted=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
@@ -234,15 +234,15 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender
     """The scripted policy's episodes on a run's layouts, kept or new; None where it cannot."""
     protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
     layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
-    name = Protocol(layouts, episodes, limit, None, task).file(RULE)
+    name = Protocol(layouts, episodes, limit, None, task).file(REACTIVE)
     beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
     plain = not {"world", "reward", "faults"} & beyond
     there = [path for folder in folders if plain and (path := folder / "baselines" / name).exists()]
     try:
         if there:
             rows = read_table(there[0], EVALUATED, "delete it")
-            return Contender(RULE, rows, protocol, first.place, None, RULE)
-        flown = compare.fly(RULE, protocol, None, str(run))
+            return Contender(REACTIVE, rows, protocol, first.place, None, REACTIVE)
+        flown = compare.fly(REACTIVE, protocol, None, str(run))
         if plain:
             rows = flown.episodes.copy()
             rows.attrs = {str(key): value for key, value in protocol.items()}
@@ -277,7 +277,7 @@ def _ranking(
         mean, over = one.reward
         numbers = compare.rounded(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
         if one is scripted:
-            rows.append([f"scripted policy, `{RULE}`", *numbers, tables.NOTHING, "none"])
+            rows.append([f"scripted policy, `{REACTIVE}`", *numbers, tables.NOTHING, "none"])
         else:
             gap = compare.rounded(ahead(one, scripted)[0]) if scripted is not None else tables.NOTHING
             rows.append([one.name, *numbers, gap, status[one.name]])

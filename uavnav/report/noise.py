@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.apart import Flight, named
+from uavnav.report.apart import Evaluated, named
 from uavnav.tasks.faults import from_words
 
 STUDY = "noise"
 
 
-def table(found: Sequence[Flight]) -> pd.DataFrame:
+def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     """A row a configuration or scripted policy, noise of training and noise of evaluation [px].
 
     Columns: `value`, the reward; `gap` to the scripted policy `reactive` under the same noise, and how many

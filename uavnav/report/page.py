@@ -36,7 +36,7 @@ from uavnav.report.verdicts import SEEDS
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, SAMPLED
 from uavnav.runs.metrics import LAST, MODES
-from uavnav.style import RULE, save
+from uavnav.style import SCRIPTED_NAME, save
 from uavnav.tasks.world import World
 from uavnav.views.replays import paths, together
 
@@ -194,7 +194,7 @@ def first_episodes(content: Content) -> dict[str, Any] | None:
     flown = gaps[(gaps["mode"] == MODES[1]) & gaps["algorithm"].isin(paper.TABLE_OF)]
     flown = flown.sort_values("reward", ascending=False).drop_duplicates("algorithm")
     configurations = {who: tables.in_words(who) for who in flown["who"]}
-    shown = together(content.replays, configurations, RULE) if content.replays else None
+    shown = together(content.replays, configurations, SCRIPTED_NAME) if content.replays else None
     return shown if shown and len(shown["drones"]) > 1 else None
 
 

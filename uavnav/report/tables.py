@@ -17,7 +17,7 @@ from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import COMPARED, NAMES
 from uavnav.report.configurations import Configuration, episodes_of, one_line, show
-from uavnav.report.frames import RULE, estimates, name, per_seed_values
+from uavnav.report.frames import REACTIVE, estimates, name, per_seed_values
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
     BESIDE,
@@ -135,7 +135,7 @@ LISTED: Mapping[str, Columns] = {
         "acting": "{mode}",
         "seeds": "{n}",
         "episodes": "{episodes:,}",
-        "that reach the time limit": "{up:.0%}",
+        "that reach the time limit": "{truncated:.0%}",
         "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
         "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
         "seeds above": "{above:.0%}",
@@ -176,10 +176,10 @@ LISTED: Mapping[str, Columns] = {
         "seeds": "{n}",
     },
     "leaders": {
-        "task": "{world}",
-        "best policy": "{best}",
+        "task": "{task}",
+        "best configuration": "{best}",
         "reward per episode": "{value:.2f} [{low:.2f}, {high:.2f}]",
-        "best script": lambda one: one["script"] or NOTHING,
+        "best scripted policy": lambda one: one["best_scripted"] or NOTHING,
         "its reward": "{scripted:.2f}",
         "ahead": lambda one: one["ahead"] or NOTHING,
         "not above a random policy": "{chance}",
@@ -227,7 +227,7 @@ LISTED: Mapping[str, Columns] = {
     },
     "learned_ahead": {
         "task": lambda one: one["place"] + ", shield" * one["shield"],
-        "best scripted policy": "{rule}",
+        "best scripted policy": "{best_scripted}",
         "its reward": "{scripted:.1f}",
         "learned": "{who}",
         "earns more by": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
@@ -469,7 +469,7 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequ
 
 
 def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
-    """Scripts, people and others with the study's policies, on test layouts: all metrics, share truncated."""
+    """Scripted policies, people and the study's policies on test layouts: all metrics, share truncated."""
     rows = [["who", "seeds", "episodes", "truncated", *map(str, METRICS.values())]]
     learned = {name(*key): episodes_of(one, SAMPLED) for key, one in main.items()}
     for who, part in [*found.items(), *learned.items()]:
@@ -499,8 +499,8 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
         printed = number(paper.printed(algorithm, activation, "reward"), 1)
         ours = _cited(of, MEAN, 1, "metrics", root), _cited(own, REWARD, 0, "gaps", root)
         rows.append([f"{algorithm.upper()} {NAMES[activation]}", printed, *ours])
-    rule = _cited(flown[flown["who"] == RULE], REWARD, 0, "gaps", root)
-    return [*rows, ["scripted policy", NOTHING, NOTHING, rule]]
+    earned = _cited(flown[flown["who"] == REACTIVE], REWARD, 0, "gaps", root)
+    return [*rows, ["scripted policy", NOTHING, NOTHING, earned]]
 
 
 def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, root: str) -> str:
@@ -589,8 +589,8 @@ def of_words(rows: Rows) -> list[bool]:
 
 def markdown(rows: Rows) -> str:
     """A table whose first row is its header; numbers, from the third column on, are right-aligned."""
-    rule = ["---" if words or place < 2 else "---:" for place, words in enumerate(of_words(rows))]
-    lines = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in [rows[0], rule, *rows[1:]])
+    ruler = ["---" if words or place < 2 else "---:" for place, words in enumerate(of_words(rows))]
+    lines = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in [rows[0], ruler, *rows[1:]])
     return "\n".join(f"| {line} |" for line in lines)
 
 

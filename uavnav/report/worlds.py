@@ -16,14 +16,14 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats, style
-from uavnav.report.claims import ALL_WORLDS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
+from uavnav.report.claims import ALL_TASKS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
 from uavnav.report.configurations import apart, one_line, order, settings_of
 from uavnav.report.frames import Rows, columns
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
-from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS, USUAL
+from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTED, USUAL
 
 if TYPE_CHECKING:
     from uavnav.runs.evaluations import Protocol
@@ -49,15 +49,15 @@ class Worlds(NamedTuple):
     """What the study says."""
 
     seeds: dict[Key, pd.DataFrame]  # a row a seed: `MEASURES`, those of `metrics.OWN`, and what claims ask
-    scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a task's scripts
-    # ladder and rung -> the same of the scripts there
+    scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a task's scripted policies
+    # ladder and rung -> the same of the scripted policies there
     rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]
     runs: pd.DataFrame  # how each run was made, a row a run
     left_out: list[str]
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in some folders of a report, and the rows of scripts in its tasks; None without one."""
+    """Read the study in a report's folders, and scripted policies' rows in its tasks; None without one."""
     homes = apart(folders, "worlds")
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
@@ -69,17 +69,17 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             place, flown, table = read(run)
             if (preset := run.config["preset"]) not in (DEFAULT, TUNED):
                 raise RunError(f"{path}: preset={preset}; the study has {DEFAULT} and {TUNED}")
-            world = place + f", {TUNED}" * (preset == TUNED)
-            key = (world, run.algorithm, run.config["activation"])
+            task = place + f", {TUNED}" * (preset == TUNED)
+            key = (task, run.algorithm, run.config["activation"])
             if key in seeds and not seeds[key].index.intersection(table.index).empty:
-                raise RunError(f"{path}: its seeds are there already, in {world}")
+                raise RunError(f"{path}: its seeds are there already, in {task}")
             own = settings_of(run.config, run.meta, run.frames)
             if settings.setdefault(key, own) != own:
-                raise RunError(f"{path}: its settings differ from those of another run in {world}")
+                raise RunError(f"{path}: its settings differ from those of another run in {task}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(place, flown)
             facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
-            who = {"run": str(path), "world": world, "algorithm": run.algorithm, "activation": key[-1]}
+            who = {"run": str(path), "task": task, "algorithm": run.algorithm, "activation": key[-1]}
             made.append({**who, "seeds": len(run.seeds), **facts, **(run.meta.get("machine") or {})})
         except (RunError, KeyError) as error:
             left_out.append(one_line(error))
@@ -95,61 +95,63 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
 
     in_order = sorted(places, key=by_number)
     seeds = {key: seeds[key] for key in sorted(seeds, key=rank)}
-    scripted, rungs, lines = _of_scripts([home / "baselines" for home in homes], in_order, places, seeds)
+    scripted, rungs, lines = _of_scripted([home / "baselines" for home in homes], in_order, places, seeds)
     return Worlds(seeds, scripted, rungs, pd.DataFrame(made), [*left_out, *lines])
 
 
-def _of_scripts(
+def _of_scripted(
     folders: Sequence[Path],
     names: Sequence[str],
     places: Mapping[str, Protocol | None],
     seeds: Mapping[Key, pd.DataFrame],
 ) -> tuple[dict[tuple[str, str], pd.DataFrame], dict[tuple[str, float], dict[str, pd.DataFrame]], list[str]]:
-    """What scripts reach in each task and on rungs that the paper's policies flew; lines for missing rows."""
-    from uavnav.evaluation.scripts import rows_of_scripts
+    """What scripted policies reach in tasks and on rungs of the paper's policies; lines for missing rows."""
+    from uavnav.evaluation.scripted import rows_of_scripted
     from uavnav.tasks import ladders, layouts
 
     left_out: list[str] = []
 
     def flown_as(protocol: Protocol) -> dict[str, pd.DataFrame]:
-        rows, unread = rows_of_scripts(folders, protocol)
+        rows, unread = rows_of_scripted(folders, protocol)
         left_out.extend(unread)
-        return {rule: measured(own, protocol.max_steps) for rule, own in rows.items()}
+        return {who: measured(own, protocol.max_steps) for who, own in rows.items()}
 
     scripted: dict[tuple[str, str], pd.DataFrame] = {}
     rungs = {}
     for name in names:
         if (protocol := places[name]) is None:
-            left_out.append(f"{name}: no rows of scripts, which fly only with the usual settings of a task")
+            left_out.append(
+                f"{name}: no rows of scripted policies, which fly only with the usual settings of a task"
+            )
             continue
-        scripted |= {(name, rule): own for rule, own in flown_as(protocol).items()}
+        scripted |= {(name, who): own for who, own in flown_as(protocol).items()}
     if (protocol := places.get("drone")) is not None:
         there = {
-            metric for (world, _, _), table in seeds.items() if _place(world) == "drone" for metric in table
+            metric for (task, _, _), table in seeds.items() if _place(task) == "drone" for metric in table
         }
         for rung in ((name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs):
             if at("reward", *rung) in there:
-                rungs[rung] = flown_as(protocol._replace(layouts=ladders.sets_of(*rung)))
+                rungs[rung] = flown_as(protocol._replace(layouts=ladders.split_of(*rung)))
     return scripted, rungs, left_out
 
 
-def _place(world: str) -> str:
-    return world.removesuffix(f", {TUNED}")
+def _place(task: str) -> str:
+    return task.removesuffix(f", {TUNED}")
 
 
 def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
-    """Where a run was trained, how scripts fly there, and its table of seeds: only of the study's episodes.
+    """Where a run was trained, how scripted policies fly there, and its seeds: only of the study's episodes.
 
-    Raises a RunError where its world is not known, or it was not evaluated as in the study.
+    Raises a RunError where its task is not known, or it was not evaluated as in the study.
     """
     from uavnav.evaluation import Protocol, rows_across  # these know the tasks, and so load torch
-    from uavnav.evaluation.scripts import protocol_in
+    from uavnav.evaluation.scripted import protocol_in
     from uavnav.evaluation.transfer import named, trained_in
     from uavnav.tasks.ladders import LADDERS
 
-    task, sets = trained_in(run)
+    task, split = trained_in(run)
     limit = task.limit(ACROSS_STEPS)
-    name = Protocol(sets, EPISODES, limit).file("evaluation")
+    name = Protocol(split, EPISODES, limit).file("evaluation")
     if not (run.path / name).exists():
         raise RunError(f"{run.path}: has no {name}; give its study again")
     rows = read_table(
@@ -173,7 +175,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     if "grad_norm" in run.progress:
         norms = run.progress.groupby("seed")["grad_norm"]
         table[VARIATION] = norms.std() / norms.mean()
-    return named(task, sets), protocol_in(task, sets, EPISODES, limit), table
+    return named(task, split), protocol_in(task, split, EPISODES, limit), table
 
 
 def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
@@ -200,20 +202,20 @@ class Evidence:
     def __post_init__(self) -> None:
         self._seeds = dict(self.seeds)
         self._ranks = functools.cache(self._explains)
-        self._worlds = [*dict.fromkeys(world for world, _, _ in self.seeds if world == _place(world))]
-        for world in dict.fromkeys(world for world, _, _ in self._seeds):
-            mine = {key: table for key, table in self._seeds.items() if key[0] == world}
+        self._tasks = [*dict.fromkeys(task for task, _, _ in self.seeds if task == _place(task))]
+        for task in dict.fromkeys(task for task, _, _ in self._seeds):
+            mine = {key: table for key, table in self._seeds.items() if key[0] == task}
             apart = {key: (table["reward"] - table["reward"].median()).abs() for key, table in mine.items()}
-            whole = [key for key in mine if world != _place(world) or self._everywhere(*key[1:])]
+            whole = [key for key in mine if task != _place(task) or self._everywhere(*key[1:])]
             usual = pd.concat([apart[key] for key in whole or mine]).mean()
             for key, table in mine.items():
                 self._seeds[key] = table.assign(**{SCATTER: apart[key] / usual if usual > 0 else np.nan})
 
-    def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL_WORLDS) -> Array:
+    def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL_TASKS) -> Array:
         if algorithm == RANKED:
-            found = self._ranks(metric, () if study == ALL_WORLDS else ("sac",))
+            found = self._ranks(metric, () if study == ALL_TASKS else ("sac",))
             return found if activation == RANKED else np.zeros(len(found))
-        if study != ALL_WORLDS:
+        if study != ALL_TASKS:
             table = self._seeds.get((study, algorithm, activation))
             return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
         flown = [one[metric] for one in self._everywhere(algorithm, activation) if metric in one]
@@ -222,19 +224,19 @@ class Evidence:
         )
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
-        """A configuration's seeds in each world, with the default preset; nothing where it lacks a world."""
-        found = [self._seeds.get((world, algorithm, activation), _NONE) for world in self._worlds]
+        """A configuration's seeds in each task, with the default preset; nothing where it lacks a task."""
+        found = [self._seeds.get((task, algorithm, activation), _NONE) for task in self._tasks]
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
-        """A measure's rank correlation with the reward across a world's configurations, mean over all: [S].
+        """A measure's rank correlation with the reward across a task's configurations, mean over all: [S].
 
         Seeds of the same number are taken together, as a study of its own; without: some algorithms.
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
-        for world in self._worlds:
-            own = (key for key in self._seeds if key[0] == world and key[1] not in without)
+        for task in self._tasks:
+            own = (key for key in self._seeds if key[0] == task and key[1] not in without)
             configurations = (key for key in own if self._everywhere(*key[1:]))
             mine = [table for one in configurations if measure in (table := self._seeds[one])]
             if len(mine) > 2:
@@ -251,60 +253,61 @@ class Evidence:
 # -- what a report shows -------------------------------------------------------------------------------------
 
 
-@columns("world", "who", "metric", "value", "low", "high", "n")
+@columns("task", "who", "metric", "value", "low", "high", "n")
 def summary(found: Worlds) -> Rows:
-    """A row a world, configuration (or script) and measure, with intervals over seeds."""
+    """A row for each task, configuration (or scripted policy) and measure, with intervals over seeds."""
     everything = {
-        (world, f"{algorithm.upper()} {activation}{' fast' * (world != _place(world))}"): table
-        for (world, algorithm, activation), table in found.seeds.items()
+        (task, f"{algorithm.upper()} {activation}{' fast' * (task != _place(task))}"): table
+        for (task, algorithm, activation), table in found.seeds.items()
     }
-    for (world, name), table in (everything | found.scripted).items():
+    for (task, name), table in (everything | found.scripted).items():
         for metric in (one for one in (*MEASURES, *OWN) if one in table):
             # most episodes end at the goal: few tell how long one lives
             if metric == "survival" and "success" in table:
                 continue
             one = stats.interval(table[metric].dropna().to_numpy())
-            yield [_place(world), name, metric, *one]
+            yield [_place(task), name, metric, *one]
 
 
-@columns("world", "best", "value", "low", "high", "script", "scripted", "ahead", "chance")
+@columns("task", "best", "value", "low", "high", "best_scripted", "scripted", "ahead", "chance")
 def leaders(found: pd.DataFrame) -> Rows:
     """Who is ahead in each task by reward per episode, a row a task; found: of `summary`.
 
-    A script is ahead if it is above every policy's interval, a policy if its interval is above every script.
-    `chance` has the policies whose interval is not above a random policy's.
+    A scripted policy is ahead if it is above the interval of every configuration, a configuration if its
+    interval is above every scripted policy.
+    `chance` has the configurations whose interval is not above a random policy's.
     """
     rewards = found[found["metric"] == "reward"].sort_values("value", ascending=False, kind="stable")
     rewards = rewards.assign(top=rewards["high"].fillna(rewards["value"]))
-    for world in found["world"].unique():
-        mine = rewards[rewards["world"] == world]
-        scripted = mine["who"].isin(SCRIPTS)
-        scripts, learned = mine[scripted], mine[~scripted]
-        best, chance = learned.iloc[0], scripts.loc[scripts["who"] == DRAWS, "top"].max()
+    for task in found["task"].unique():
+        mine = rewards[rewards["task"] == task]
+        scripted = mine["who"].isin(SCRIPTED)
+        rest, learned = mine[scripted], mine[~scripted]
+        best, chance = learned.iloc[0], rest.loc[rest["who"] == DRAWS, "top"].max()
         none = pd.Series({"who": "", "value": np.nan, "top": np.nan})
-        script, ahead = (scripts.iloc[0], "neither") if len(scripts) else (none, "")
-        if (script["value"] > learned["top"]).all():
-            ahead = "a script"
-        elif best["low"] > script["top"]:
-            ahead = "a policy"
+        top, ahead = (rest.iloc[0], "neither") if len(rest) else (none, "")
+        if (top["value"] > learned["top"]).all():
+            ahead = "a scripted policy"
+        elif best["low"] > top["top"]:
+            ahead = "a configuration"
         under = "; ".join(learned.loc[learned["low"] <= chance, "who"])
         numbers = best[["who", "value", "low", "high"]]
-        yield [world, *numbers, script["who"], script["value"], ahead, under]
+        yield [task, *numbers, top["who"], top["value"], ahead, under]
 
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
     """The configurations that were trained in the paper's task across a ladder, means of their activations,
-    and the usual scripts; None where no configuration was.
+    and the usual scripted policies; None where no configuration was.
     """
     from uavnav.evaluation import across
     from uavnav.tasks.ladders import LADDERS
 
     rungs, parts = LADDERS[name].rungs, []
-    for (world, algorithm), group in itertools.groupby(found.seeds.items(), key=lambda item: item[0][:2]):
+    for (task, algorithm), group in itertools.groupby(found.seeds.items(), key=lambda item: item[0][:2]):
         flown = [table for _, table in group if at("reward", name, rungs[0]) in table]
-        if not flown or _place(world) != "drone":
+        if not flown or _place(task) != "drone":
             continue
-        who = algorithm.upper() + (" fast" if world != _place(world) else "")
+        who = algorithm.upper() + (" fast" if task != _place(task) else "")
         for rung in rungs:
             for metric in (one for one in ("reward", "collisions", *OWN) if at(one, name, rung) in flown[0]):
                 one = stats.difference(
@@ -313,11 +316,11 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
                 parts.append([who, MODE, float(rung), metric, one.n, *one[:3]])
     if not parts:
         return None
-    for rule, rung in itertools.product(USUAL, rungs):
-        own = found.rungs.get((name, rung), {}).get(rule, pd.DataFrame())
+    for who, rung in itertools.product(USUAL, rungs):
+        own = found.rungs.get((name, rung), {}).get(who, pd.DataFrame())
         for metric in (one for one in ("reward", "collisions", *OWN) if one in own):
             one = stats.interval(own[metric].dropna().to_numpy())
-            parts.append([rule, "scripted", float(rung), metric, one.n, *one[:3]])
+            parts.append([who, "scripted", float(rung), metric, one.n, *one[:3]])
     columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
     kinds = {who: who.split()[0].lower() for who, *_ in parts}
     return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], kinds, width)

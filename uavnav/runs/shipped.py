@@ -14,7 +14,7 @@ from typing import Any
 
 from uavnav import files
 from uavnav.errors import did_you_mean
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import SCRIPTED
 
 FOLDER = Path(__file__).parent / "trained"
 SUFFIX = ".safetensors"
@@ -71,5 +71,5 @@ def instead(run: str | Path) -> str:
         beside = []
     if near := difflib.get_close_matches(path.name, beside, n=1):
         return f" (did you mean {path.with_name(near[0])}?)"
-    near_name = did_you_mean(run, [*shipped(), *SCRIPTS])
+    near_name = did_you_mean(run, [*shipped(), *SCRIPTED])
     return f"{near_name}, or one of {', '.join(shipped())}" if path.name == str(run) else near_name

@@ -15,7 +15,7 @@ or one of yours.
     configurations:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in
                                 # {out}/rate-0.001/ppo/tanh and so on
-    scripts: baselines          # scripted policies fly in the task of each configuration too, as it does;
+    scripted_folder: baselines  # scripted policies fly in the task of each configuration too, as it does;
                                 # their rows go there
     scripted: [reactive, dwa]   # which of them; by default random, straight and reactive, which alone
                                 # climb the ladders; ones that cannot fly a task are skipped
@@ -47,12 +47,12 @@ from uavnav.settings import Whole, checked, shown
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import from_words
 from uavnav.tasks.layouts import LayoutError, judged_on
-from uavnav.tasks.protocol import LADDER_NAMES, SCRIPTS, SPLITS, USUAL
+from uavnav.tasks.protocol import LADDER_NAMES, SCRIPTED, SPLITS, USUAL
 from uavnav.tasks.table import TASKS
 from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "scripted", "tune", "draw")
+KEYS = ("what", "obstacles", "settings", "configurations", "scripted_folder", "scripted", "tune", "draw")
 OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
 LISTS = ("hidden", "keep_at")
@@ -74,7 +74,7 @@ class Configuration(NamedTuple):
 
     config: TrainConfig
     out: Path
-    flights: tuple[Protocol, ...] = ()
+    evaluations: tuple[Protocol, ...] = ()
     """How it is evaluated, first as the report shows it; nothing: not at all."""
     across: tuple[str, ...] = ()
     """Ladders that it flies too, with as many layouts and steps."""
@@ -86,7 +86,7 @@ class Configuration(NamedTuple):
     @property
     def episodes(self) -> list[str]:
         """The files of rows and of behaviour that its first evaluation leaves; none where it is not flown."""
-        return [one.file(name) for one in self.flights[:1] for name in ("evaluation", "behaviour")]
+        return [one.file(name) for one in self.evaluations[:1] for name in ("evaluation", "behaviour")]
 
 
 class Study(NamedTuple):
@@ -98,7 +98,7 @@ class Study(NamedTuple):
     settings: Mapping[str, Any]
     configurations: Sequence[Mapping[str, Any]]
     tune: Mapping[str, Any] | None = None
-    scripts: str | None = None
+    scripted_folder: str | None = None
     draw: Mapping[str, Any] | None = None
     scripted: Sequence[str] = USUAL
     given: Mapping[str, Any] = {}
@@ -149,7 +149,7 @@ def _study(name: str, said: Any) -> Study:
         named = algorithms(entry)
         if not named or not all(isinstance(one, str) for one in named):
             raise ConfigError(f"algorithm={entry['algorithm']}; give a name, or a list of some")
-    settings, scripts = said.get("settings", {}), said.get("scripts")
+    settings, home = said.get("settings", {}), said.get("scripted_folder")
     for part in (settings, *entries):
         check_settings("settings", part)
         for algorithm in ALGORITHMS:
@@ -159,15 +159,15 @@ def _study(name: str, said: Any) -> Study:
             raise ConfigError(
                 f"{key}={said[key]}; give keys and values, as uavnav/studies/{example}.yaml does"
             )
-    if scripts is not None:
-        below = isinstance(scripts, str) and not os.path.isabs(scripts) and ".." not in Path(scripts).parts
-        if not below or not _is_folder(scripts):
-            raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
+    if home is not None:
+        below = isinstance(home, str) and not os.path.isabs(home) and ".." not in Path(home).parts
+        if not below or not _is_folder(home):
+            raise ConfigError(f"scripted_folder={home}; give a folder's name, such as baselines")
     named = said.get("scripted", USUAL)
-    if not isinstance(named, list | tuple) or not all(among(one, SCRIPTS) for one in named):
-        raise ConfigError(f"scripted={told(named)}; give a list of some of {', '.join(SCRIPTS)}")
+    if not isinstance(named, list | tuple) or not all(among(one, SCRIPTED) for one in named):
+        raise ConfigError(f"scripted={told(named)}; give a list of some of {', '.join(SCRIPTED)}")
     what, tune, draw = one_line(said.get("what", name)), said.get("tune"), said.get("draw")
-    return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, scripts, draw, named)
+    return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, home, draw, named)
 
 
 def only(study: Study, chosen: str | None) -> Study:
@@ -267,17 +267,19 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
     own = "test" if judged_on(config.layouts) == config.layouts else judged_on(config.layouts)
     usual = Protocol(own, EPISODES, TASKS[config.task].limit(MAX_STEPS))
-    flights, across, measures = _flights(said.get("evaluate", True), usual)
-    for one in flights:
-        sets = SPLITS["test"].n if one.layouts == own else len(layouts.load(one.layouts, config.world))
-        if one.episodes > sets:
-            raise ConfigError(f"evaluate.episodes={one.episodes}; give at most {sets}, the split's layouts")
+    evaluations, across, measures = _evaluations(said.get("evaluate", True), usual)
+    for one in evaluations:
+        n_layouts = SPLITS["test"].n if one.layouts == own else len(layouts.load(one.layouts, config.world))
+        if one.episodes > n_layouts:
+            raise ConfigError(
+                f"evaluate.episodes={one.episodes}; give at most {n_layouts}, the split's layouts"
+            )
         if one.at is not None and one.at not in config.keep_at:
             raise ConfigError(
                 f"evaluate.at={told(one.at)}; give some of keep_at={shown(config.keep_at)}, or null"
             )
     return Configuration(
-        config, out / folder / config.algorithm / config.activation, flights, across, measures
+        config, out / folder / config.algorithm / config.activation, evaluations, across, measures
     )
 
 
@@ -309,7 +311,7 @@ def _is_folder(name: str) -> bool:
     return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
-def _flights(said: Any, usual: Protocol) -> tuple[tuple[Protocol, ...], tuple[str, ...], bool]:
+def _evaluations(said: Any, usual: Protocol) -> tuple[tuple[Protocol, ...], tuple[str, ...], bool]:
     """How a configuration is flown, across which ladders, and whether with more measures; usual: what holds
     where nothing is said.
     """
@@ -323,10 +325,14 @@ def _flights(said: Any, usual: Protocol) -> tuple[tuple[Protocol, ...], tuple[st
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
     several = {"episodes": usual.episodes, "max_steps": usual.max_steps} | said
     own = {key: value for key, value in several.items() if key in PROTOCOL}
-    return tuple(_flight(one, usual) for one in _combinations(own)), tuple(dict.fromkeys(across)), measures
+    return (
+        tuple(_evaluation(one, usual) for one in _combinations(own)),
+        tuple(dict.fromkeys(across)),
+        measures,
+    )
 
 
-def _flight(said: Mapping[str, Any], usual: Protocol) -> Protocol:
+def _evaluation(said: Mapping[str, Any], usual: Protocol) -> Protocol:
     checked("evaluate.shield", said.get("shield", False), bool)
     own = {key: value for key, value in said.items() if value is not None and value is not False}
     for key in ("episodes", "max_steps"):

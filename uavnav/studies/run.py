@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
 from uavnav.evaluation import rows_across, together
-from uavnav.evaluation.scripts import option
+from uavnav.evaluation.scripted import option
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
@@ -196,12 +196,12 @@ def trained(configuration: Configuration) -> bool:
 
 def unflown(configuration: Configuration) -> list[list[str]]:
     """The missing episodes that a configuration's study asks for: each the words of `uavnav evaluate`."""
-    out, flights = configuration.out, configuration.flights
+    out, evaluations = configuration.out, configuration.evaluations
     more = ["--measures"] * configuration.measures
     missing = [
-        [*_words(one.header()), *more] for one in flights if not (out / one.file("evaluation")).exists()
+        [*_words(one.header()), *more] for one in evaluations if not (out / one.file("evaluation")).exists()
     ]
-    for bounds in ({"episodes": one.episodes, "max_steps": one.max_steps} for one in flights[:1]):
+    for bounds in ({"episodes": one.episodes, "max_steps": one.max_steps} for one in evaluations[:1]):
         ladders = [name for name in configuration.across if not (out / rows_across(name, **bounds)).exists()]
         missing += [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
     return missing
@@ -359,7 +359,7 @@ class Runner:
             own.note(processes=n)
         work.workers = workers.split(config, configuration.out, n)
         for worker in work.workers:
-            part = Configuration(worker.config, worker.folder, configuration.flights[:1])
+            part = Configuration(worker.config, worker.folder, configuration.evaluations[:1])
             worker.done = trained(part) and evaluated(part)
             worker.frames = worker.config.frames if worker.done else 0
         self._waiting.extend((work, worker) for worker in work.workers if not worker.done)
@@ -397,7 +397,7 @@ class Runner:
             threads = machine.threads(configuration.config, len(job.work.workers))
             how: dict[str, Any] = {"checkpoint_seconds": self.checkpoint_seconds}
             measures = {"measures": configuration.measures}
-            flown = [one.header() | measures for one in configuration.flights[:1]]
+            flown = [one.header() | measures for one in configuration.evaluations[:1]]
             words = ["uavnav.cli.worker", *job.worker.prepare(threads, *flown, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 

@@ -1,1 +1,1 @@
-"""The tasks as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripts."""
+"""Tasks as pure functions over batches: constants, obstacles, motion, sensing, rewards; scripted policies."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from uavnav.tasks.classics import apf, dwa, orca, vfh
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.protocol import SCRIPTS
+from uavnav.tasks.protocol import SCRIPTED
 from uavnav.tasks.sensed import MARGIN, ahead, seen, target
 from uavnav.tasks.space import SpaceWorld, decode
 from uavnav.tasks.world import World
@@ -201,17 +201,17 @@ def dodge_in_the_box(
 
 
 def chosen_among(world: World) -> tuple[int, int]:
-    """How many turns and distances the scripts choose among in a world of two or three dimensions."""
+    """How many turns and distances scripted policies choose among in a world of two or three dimensions."""
     usual = BOX if isinstance(world, SpaceWorld) else WORLD
     return usual.n_turns, usual.n_distances
 
 
 def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
-    """The policy that a name stands for in a task: `reactive` is a rule for what stands still, what moves, or
-    a goal. It and the classics know the task's world. Other policies are as they are.
+    """The policy that a name stands for in a task: `reactive` is another for what stands still, what moves,
+    or a goal. It and the classics know the task's world. Other policies are as they are.
 
     Raises:
-        ValueError: a script is to fly where there are other turns and distances than it chooses among.
+        ValueError: a scripted policy is to fly where there are other turns or distances than its own.
     """
     if policy not in BASELINES.values():
         return policy
@@ -219,19 +219,21 @@ def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
     if (own.n_turns, own.n_distances) != (turns, distances):
         given = f"n_turns={own.n_turns}, n_distances={own.n_distances}"
         raise ValueError(
-            f"{given}: scripts choose among {turns} turns and {distances} distances; leave them out"
+            f"{given}: scripted policies choose among {turns} turns and {distances} distances; leave them out"
         )
     in_a_box = isinstance(own, SpaceWorld)
     if policy is uniform_random or (policy is straight_ahead and not in_a_box):
         return policy
-    rule: Callable[..., Tensor] = policy
+    suitable: Callable[..., Tensor] = policy
     if policy is reactive and not task.STATIC:
-        rule = dodge_in_the_box if in_a_box else dodge
+        suitable = dodge_in_the_box if in_a_box else dodge
     elif policy is reactive and isinstance(own, GoalWorld):
-        rule = towards_goal
-    return functools.partial(rule, world=own.replace(sensor_radius=task.trained_reach or own.sensor_radius))
+        suitable = towards_goal
+    return functools.partial(
+        suitable, world=own.replace(sensor_radius=task.trained_reach or own.sensor_radius)
+    )
 
 
 BASELINES: dict[str, AnyPolicy] = dict(
-    zip(SCRIPTS, (uniform_random, straight_ahead, reactive, apf, vfh, dwa, orca), strict=True)
+    zip(SCRIPTED, (uniform_random, straight_ahead, reactive, apf, vfh, dwa, orca), strict=True)
 )

@@ -70,7 +70,7 @@ def validate(layouts: Tensor, world: World | None = None, more: int = 0) -> None
     radius, and has so many numbers more.
 
     Raises:
-        LayoutError: naming the first set that is wrong.
+        LayoutError: naming the first layout that is wrong.
     """
     world = world or World()
     if not isinstance(layouts, Tensor):
@@ -91,11 +91,11 @@ def validate(layouts: Tensor, world: World | None = None, more: int = 0) -> None
     refuse_first(edge < world.safe_zone, f"is nearer than {world.safe_zone:g} px to the start")
 
 
-def refuse_first(wrong: np.ndarray, rule: str) -> None:
-    """Raise a LayoutError that names the first obstacle that breaks a rule; wrong [n, k] bool."""
+def refuse_first(wrong: np.ndarray, problem: str) -> None:
+    """Raise a LayoutError that names the first obstacle of which a problem holds; wrong [n, k] bool."""
     if wrong.any():
         row, obstacle = np.argwhere(wrong)[0]
-        raise LayoutError(f"obstacle {obstacle} of set {row} {rule}")
+        raise LayoutError(f"obstacle {obstacle} of layout {row} {problem}")
 
 
 def edge_to_start(layouts: np.ndarray, world: World) -> np.ndarray:

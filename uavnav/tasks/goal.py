@@ -65,7 +65,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     """The circles that the same arguments give `circles.generate`, each layout with a goal.
 
     A goal is uniform over the places at least 60 px from every edge and 200 px from the start that can be
-    reached: else another is drawn, and after 100 goals another set of circles.
+    reached: else another is drawn, and after 100 goals other circles.
 
     Returns:
         Tensor [n, k + 1, 3] float32: (x, y, radius) of the circles, then (x, y, shortest) of the goal, in px.
@@ -79,9 +79,9 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         raise LayoutError(
             f"goal_radius={world.goal_radius:g}: ways are measured from place to place; give {GRID} px"
         )
-    sets = circles.generate(n, k, seed, world).numpy()
+    all_circles = circles.generate(n, k, seed, world).numpy()
     found = np.empty((n, k + 1, 3), dtype=np.float32)
-    for index, drawn in enumerate(sets):
+    for index, drawn in enumerate(all_circles):
         rng = np.random.Generator(np.random.PCG64([seed, GOALS, index]))
         standing = drawn
         for _ in range(SETS):
@@ -100,7 +100,7 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
     """As `circles.validate`; and every goal has room around it, and a way that is long enough.
 
     Raises:
-        LayoutError: naming the first set that is wrong.
+        LayoutError: naming the first layout that is wrong.
     """
     world = world or GoalWorld()
     if layouts.ndim != 3 or layouts.shape[1] == 0:
@@ -112,14 +112,14 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
         [_room(place[None, :2], around, world)[0] for place, around in zip(goal, standing, strict=True)]
     )
     away = np.hypot(*(goal[:, :2] - np.array(world.start)).T)
-    for wrong, rule in (
+    for wrong, problem in (
         (~np.isfinite(goal).all(-1), "is not finite"),
         (room < ROOM - 1e-3, f"is nearer than {ROOM:g} px to an edge"),
         (away < FAR - 1e-3, f"is nearer than {FAR:g} px to the start"),
         (goal[:, 2] < 0, "has a way of less than 0 px"),
     ):
         if wrong.any():
-            raise LayoutError(f"the goal of set {np.argwhere(wrong)[0][0]} {rule}")
+            raise LayoutError(f"the goal of layout {np.argwhere(wrong)[0][0]} {problem}")
 
 
 def shortest_ways(standing: Array, world: World) -> Array:

@@ -41,16 +41,16 @@ class Ladder(NamedTuple):
         )
 
 
-def sets_of(ladder: str, rung: float, split: str = "test") -> str:
+def split_of(ladder: str, rung: float, split: str = "test") -> str:
     """The name of a rung's layouts, on a ladder of layouts."""
     return f"{ladder}-{rung:g}/{split}"
 
 
-def sets(ladder: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
+def other_layouts(ladder: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
     """The policy's task on a rung's layouts: so many obstacles each, or columns with a gap of so many px."""
 
     def at(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-        return task.on(sets_of(ladder, rung, split), task.max_steps)
+        return task.on(split_of(ladder, rung, split), task.max_steps)
 
     return at
 
@@ -94,10 +94,14 @@ def fault(name: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
 
 LADDERS = {
     "density": Ladder(
-        "obstacles a layout", tuple(range(0, 21, 2)), sets("density"), of=("drone", "moving", "goal")
+        "obstacles a layout", tuple(range(0, 21, 2)), other_layouts("density"), of=("drone", "moving", "goal")
     ),
     "slalom": Ladder(
-        "gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), sets("slalom"), slalom.passages, ("drone",)
+        "gap [px]",
+        (160, 140, 120, 110, 100, 90, 80, 70),
+        other_layouts("slalom"),
+        slalom.passages,
+        ("drone",),
     ),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),

@@ -79,7 +79,7 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
     outside.
 
     Raises:
-        LayoutError: naming the first set that is wrong.
+        LayoutError: naming the first layout that is wrong.
     """
     world = world or MovingWorld()
     axes = len(world.size)

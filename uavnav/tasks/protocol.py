@@ -34,7 +34,7 @@ ORCA = "orca"
 """The one that needs velocities, so that it flies only where bodies move."""
 VFH = "vfh"
 """The one whose histogram is of a plane, so that it flies in no box."""
-SCRIPTS = (*USUAL, "apf", VFH, "dwa", ORCA)
+SCRIPTED = (*USUAL, "apf", VFH, "dwa", ORCA)
 """All of them, with those of `classics`."""
 DRAWS = "random"
 """The one that draws its actions, so that its seeds differ."""

@@ -24,7 +24,7 @@ from uavnav.tasks.task import Task
 from uavnav.tasks.world import Positive, World
 
 DEFAULT_K = 40
-"""Spheres per set: they fill about as much of the box as 8 circles of the window."""
+"""Spheres per layout: they fill about as much of the box as 8 circles of the window."""
 TURN, STRETCH = 2, 3
 """Degrees and px by which the choices of an action differ."""
 STEEPEST = 45

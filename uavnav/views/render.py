@@ -1,6 +1,6 @@
 """The environment as a picture: one state as RGB, episodes side by side as a film, without a screen.
 
-`uavnav render RUN... --out flight.gif` draws what trained policies do on the same layout.
+`uavnav render RUN... --out episode.gif` draws what trained policies do on the same layout.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.errors import did_you_mean
 from uavnav.evaluation import episodes
-from uavnav.evaluation.scripts import task_of
+from uavnav.evaluation.scripted import task_of
 from uavnav.runs import policies
 from uavnav.runs.shipped import is_shipped
 from uavnav.tasks import layouts as splits
@@ -57,12 +57,12 @@ class Pilot(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """Its algorithm, or the name of a script: by this it has its colour."""
+        """Its algorithm, or the name of a scripted policy: by this it has its colour."""
         return self.policy.algorithm if isinstance(self.policy, policies.Policy) else self.name
 
     @property
     def mode(self) -> str:
-        """`greedy` or `sampled`; nothing of a script."""
+        """`greedy` or `sampled`; nothing of a scripted policy."""
         return self.policy.mode if isinstance(self.policy, policies.Policy) else ""
 
     @property
@@ -107,7 +107,7 @@ def load_pilots(
         raise ValueError(f"--task {task}: what was trained flies in its own task; leave it out")
     if len(kinds := {splits.kind_of(one.world) for one in of_runs}) > 1:
         raise ValueError(
-            f"runs of task={' and task='.join(sorted(kinds))} have no set in common; give those of one"
+            f"runs of task={' and task='.join(sorted(kinds))} have no layout in common; give those of one"
         )
     beside = {scripted: of_runs[0] if of_runs else scripted}
     placed = [one._replace(task=beside.get(one.task, one.task)) for one in pilots]

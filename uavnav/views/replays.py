@@ -107,7 +107,7 @@ def record(
     Returns:
         What the player reads, as JSON: `world` (its constants), `layouts` (of [x, y, radius] px;
         None for those that are not shown), `actions` ([degrees, px] of each), `fields` (of the bytes),
-        `configurations` (with their `episodes`; elsewhere than in the paper's task also `_place`), `rule`
+        `configurations` (with their `episodes`; elsewhere than in the paper's task also `_place`), `scripted`
         (episodes of the scripted policy), and `left_out`: a line for each policy that cannot fly.
     """
     all_layouts, world = layouts.load("test"), World()
@@ -116,27 +116,27 @@ def record(
     for configuration in configurations:
         population, problems = _load(configuration, n_seeds)
         left_out += problems
-        sets = layouts.judged_on(configuration.runs[0].config.get("layouts", "train"))
-        ready += [(configuration, sets, population)] if population else []
+        split = layouts.judged_on(configuration.runs[0].config.get("layouts", "train"))
+        ready += [(configuration, split, population)] if population else []
     usual = range(n_layouts)
     flown = {}
     with machine.use_threads(1):
-        for sets in dict.fromkeys(sets for _, sets, _ in ready):
+        for split in dict.fromkeys(split for _, split, _ in ready):
             flyers = [
                 Flyer(seed, policy, configuration.layouts or usual)
                 for configuration, own, population in ready
-                if own == sets
+                if own == split
                 for seed, policy in population.items()
             ]
-            flown[sets] = iter(fly(flyers, layouts.load(sets)[:EPISODES], max_steps))
+            flown[split] = iter(fly(flyers, layouts.load(split)[:EPISODES], max_steps))
         task = WrappedTask(Task(world, all_layouts[:n_layouts], max_steps=max_steps))
-        (rule,) = _fly_together([Flyer(0, reactive, usual)], task)
+        (scripted,) = _fly_together([Flyer(0, reactive, usual)], task)
     shown = []
-    for configuration, sets, population in ready:
+    for configuration, split, population in ready:
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
         name |= {"accent": configuration.colour} if configuration.colour else {}
-        own = [episode for _ in population for episode in next(flown[sets])]
-        name |= _place(next(iter(population.values())).task, sets, configuration.layouts or usual)
+        own = [episode for _ in population for episode in next(flown[split])]
+        name |= _place(next(iter(population.values())).task, split, configuration.layouts or usual)
         values = ALGORITHMS[configuration.algorithm].shown
         shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
@@ -147,7 +147,7 @@ def record(
         "actions": torch.stack([angle, distance], -1).tolist(),
         "fields": _told(FIELDS),
         "configurations": shown,
-        "rule": rule,
+        "scripted": scripted,
         "left_out": list(dict.fromkeys(left_out)),
     }
 
@@ -182,22 +182,23 @@ def _told(fields: Mapping[str, Field]) -> list[dict[str, Any]]:
     return [{"name": name, "columns": COLUMNS.get(name, 1), **one._asdict()} for name, one in fields.items()]
 
 
-def together(recorded: dict[str, Any], configurations: Mapping[str, str], rule: str) -> dict[str, Any]:
+def together(recorded: dict[str, Any], configurations: Mapping[str, str], scripted: str) -> dict[str, Any]:
     """What a page needs to show first seeds of configurations and the scripted policy on the same obstacles.
 
     recorded: as `record` gives it; configurations: names by the configuration's label, such as `PPO tanh`;
-    rule: the rule's name. Episodes are without choices, and begin where the configurations' are shortest.
+    scripted: the scripted policy's name. Episodes are without choices, and begin where the configurations'
+    are shortest.
     """
     # configurations of the paper's task
     there = [one for one in recorded["configurations"] if "place" not in one]
     of = {f"{one['algorithm'].upper()} {one['label']}": one["episodes"] for one in there}
     flown = {name: of[label] for label, name in configurations.items() if label in of}
-    flown[rule] = recorded["rule"]
+    flown[scripted] = recorded["scripted"]
     firsts = {
         name: {one["layout"]: one for one in episodes if one["seed"] == episodes[0]["seed"]}
         for name, episodes in flown.items()
     }
-    learned = [own for name, own in firsts.items() if name != rule]
+    learned = [own for name, own in firsts.items() if name != scripted]
     order = sorted(range(len(recorded["layouts"])), key=lambda at: sum(own[at]["steps"] for own in learned))
     return {
         "world": recorded["world"],
@@ -252,24 +253,24 @@ def _load(configuration: Trained, n_seeds: int) -> tuple[dict[int, Policy], list
     return population, problems
 
 
-def _layouts(task: WrappedTask, sets: str = "test") -> Tensor:
+def _layouts(task: WrappedTask, split: str = "test") -> Tensor:
     """The layouts of the task's own test split, or of a rung's, that an evaluation flies."""
-    return layouts.load(sets, task.world)[:EPISODES]
+    return layouts.load(split, task.world)[:EPISODES]
 
 
-def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any]:
+def _place(task: WrappedTask, split: str, chosen: Sequence[int]) -> dict[str, Any]:
     """Where episodes were recorded, if not in the paper's task as it is: `place`, what the player draws.
 
-    sets: the split, which may be a rung's such as `slalom-80/test`.
+    split: the split, which may be a rung's such as `slalom-80/test`.
     """
     name = name_of(task)
     faults, stack = task.faults != NO_FAULTS, task.stack > 1
-    found = {TITLES[name]: name != "drone", sets.removesuffix("/test"): sets != "test"}
+    found = {TITLES[name]: name != "drone", split.removesuffix("/test"): split != "test"}
     found |= {str(task.faults): faults, f"stack={task.stack}": stack}
     words = [word for word, is_so in found.items() if is_so]
     if not words:
         return {}
-    circles = _sparse(_layouts(task, sets).double().tolist(), chosen)
+    circles = _sparse(_layouts(task, split).double().tolist(), chosen)
     if isinstance(task.task, Goal):
         shown = [one and {"circles": one[:-1], "goal": one[-1][:2]} for one in circles]
     else:
@@ -279,7 +280,7 @@ def _place(task: WrappedTask, sets: str, chosen: Sequence[int]) -> dict[str, Any
         parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
         # each action: yaw, pitch [degrees], distance [px]
         constants |= {"fields": _told(IN_3D), "actions": torch.stack(parts, -1).tolist()}
-    return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
+    return {"place": {"task": name, "title": ", ".join(words), "layouts": shown, **constants}}
 
 
 class Flyer(NamedTuple):
@@ -322,7 +323,7 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[d
     for step in episodes.steps([flyer[:2] for flyer in flyers], task):
         mine, outcome = kept[step.episode], step.outcome
         values = step.values
-        if values is None:  # behind the action of a script is nothing but itself
+        if values is None:  # behind the action of a scripted policy is nothing but itself
             values = functional.one_hot(step.action, task.world.n_actions).float()
         choices.append({"row": step.episode[mine], "action": step.action[mine], "values": values[mine]})
         poses.append(

@@ -4,7 +4,7 @@
 
 function unfold() {
   const target = location.hash && document.getElementById(location.hash.slice(1));
-  const folded = target && (target.closest("details") ?? target.querySelector("details"));
+  const folded = target && (target.closest("details") ?? target.querySelector(":scope > .fold"));
   if (!folded) return;
   folded.open = true;
   target.scrollIntoView();

@@ -1,6 +1,6 @@
 """What runs in a browser: the tasks and their drawing, one home each, without a build step or a framework.
 
-`world.js` is the tasks, compared with Python's by tests/test_playground.py, `sets.js` their obstacles;
+`world.js` is the tasks, compared with Python's by tests/test_playground.py, `layouts.js` their obstacles;
 `drawing.js` draws them, and `box.js` those in 3D. `replay.js` plays recorded episodes on a report, and the
 folder `playground` flies live. A page contains the scripts that it needs, one after the other.
 """
@@ -16,7 +16,7 @@ from uavnav.tasks import baselines, classics, goal, slalom
 from uavnav.tasks.table import TASKS
 
 HERE = Path(__file__).parent
-WORLD = (HERE / "world.js", HERE / "sets.js", HERE / "drawing.js")
+WORLD = (HERE / "world.js", HERE / "layouts.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
 
 PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")
@@ -44,7 +44,7 @@ IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}
 
 
 def constants() -> dict[str, dict[str, Any]]:
-    """What `world.js` needs of each world, by its name there: constants, the time limit, and `RULES`."""
+    """What `world.js` needs of each task, by its name there: constants, the time limit, and `RULES`."""
     kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is only a layout file
     return {
         name: {

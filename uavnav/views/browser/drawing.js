@@ -50,9 +50,10 @@ function everyPicture(owner, picture) {
   requestAnimationFrame(tick);
 }
 
-/** Have `draw` called whenever an element has another size, and `recolour` now and whenever the page's colours change. */
+/** Have `draw` called when a canvas in an element has another size, and `recolour` now and when the colours change. */
 function watchLooks(element, draw, recolour) {
-  new ResizeObserver(draw).observe(element);
+  const sizes = new ResizeObserver(draw);
+  for (const canvas of element.querySelectorAll("canvas")) sizes.observe(canvas);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
   recolour();
 }

@@ -39,9 +39,9 @@ function named({ algorithm, label, mode, place }) {
 /** What stands around an episode at a step: { circles, goal }. */
 function around({ layouts }, { place }, { layout }, step) {
   if (!place) return { circles: layouts[layout] };
-  const set = place.sets[layout];
-  if (place.world.depth) return { spheres: spheresAt(place.world, set.circles, step) };
-  return { circles: new TASKS[place.task](place).obstacles(set, step), goal: set.goal };
+  const shown = place.layouts[layout];
+  if (place.world.depth) return { spheres: spheresAt(place.world, shown.circles, step) };
+  return { circles: new TASKS[place.task](place).obstacles(shown, step), goal: shown.goal };
 }
 
 /** A drone as drawArena or drawBox takes it: where it is at a step, what it senses, and the trail of so many steps. */
@@ -142,7 +142,7 @@ class Player {
     const { tagName } = event.target;
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (event.altKey || event.ctrlKey || event.metaKey || tagName === "SELECT") return;
-    if (event.key === " " && tagName !== "BUTTON") this.toggle();
+    if (event.key === " " && tagName !== "BUTTON") event.repeat || this.toggle();
     else if (step && tagName !== "INPUT") this.stepBy(step);
     else return;
     event.preventDefault();

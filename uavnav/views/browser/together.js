@@ -1,6 +1,6 @@
 /*
- * Recorded episodes side by side on the same obstacles: startTogether(root, data) lets them play by themselves, set after
- * set, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
+ * Recorded episodes side by side on the same obstacles: startTogether(root, data) lets them play by themselves, layout after
+ * layout, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
  *
  * `root` contains a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
  * uavnav/views/replays.py gives; drawing.js draws it.
@@ -9,7 +9,7 @@
 const TOGETHER_SPEED = 60; // [steps / s]
 const TRAIL = 160; // [steps] that a trail is long
 const STILL = 240; // [steps] where episodes stand that do not play
-const REST = 1.5; // [s] after the last episode of a set
+const REST = 1.5; // [s] after the last episode of a layout
 
 class Together {
   constructor(root, data) {
@@ -36,11 +36,11 @@ class Together {
   }
 
   /** Unpack the episodes on a layout, and begin. */
-  async load(set) {
-    const episodes = this.drones.map((drone) => drone.episodes[set]);
+  async load(layout) {
+    const episodes = this.drones.map((drone) => drone.episodes[layout]);
     const read = await Promise.all(episodes.map((episode) => unpack(episode, this.data.fields)));
     this.drones.forEach((drone, place) => Object.assign(drone, { episode: episodes[place], read: read[place] }));
-    this.set = set;
+    this.layout = layout;
     this.last = Math.max(...episodes.map(({ steps }) => steps));
     this.step = this.playing ? 0 : Math.min(STILL, this.last);
     this.mark();
@@ -63,8 +63,8 @@ class Together {
     everyPicture(this, (seconds) => {
       due += seconds * TOGETHER_SPEED;
       if (due > this.last + REST * TOGETHER_SPEED) {
-        this.turn = null; // the next set begins a loop of its own
-        this.load((this.set + 1) % this.data.layouts.length);
+        this.turn = null; // the next layout begins a loop of its own
+        this.load((this.layout + 1) % this.data.layouts.length);
       } else if (this.step < this.last) {
         this.step = Math.min(Math.floor(due), this.last);
         this.draw();
@@ -79,7 +79,7 @@ class Together {
       const crashed = crashedAt(episode, step);
       const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed, fades: true };
       if (crashed) drone.sensed = [];
-      drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.set], drones: [drone], colours });
+      drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.layout], drones: [drone], colours });
       const reward = `reward ${fixed(read.reward(step), 1)}`;
       const at = step.toLocaleString("en");
       const ended = step < episode.steps ? `step ${at}` : crashed ? `collided at step ${at}` : `stopped at step ${at}`;

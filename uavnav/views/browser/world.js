@@ -5,7 +5,7 @@
  * a step earns and ends. Nothing here draws, and nothing keeps a state.
  *
  * A page gives the constants of a task as uavnav/views/browser/__init__.py has them. A circle is [x, y, radius] px; one that
- * moves has [vx, vy] px a step more. A set is { circles, goal }, the goal [x, y] px or none. A state has x, y [px],
+ * moves has [vx, vy] px a step more. A layout is { circles, goal }, the goal [x, y] px or none. A state has x, y [px],
  * heading [whole degrees] and the counts of an episode. Math.fround is where Python has float32.
  */
 
@@ -171,30 +171,32 @@ function reflect(place, speed, steps, size) {
 class Task {
   moves = false; // whether obstacles do
 
-  /** given: constants of the task (`world`, `max_steps`, `rules` of its sets); faults: as NO_FAULTS. */
+  /** given: constants of the task (`world`, `max_steps`, `rules` of its layouts); faults: as NO_FAULTS. */
   constructor({ world, max_steps, rules }, faults = NO_FAULTS) {
     Object.assign(this, { world, max_steps, rules, faults });
     this.remembers = Object.values(faults).some((fault) => fault > 0);
   }
 
-  /** The set of a number, with k circles or gaps of so many px. */
-  generate({ k, set }) {
-    return { circles: generate(this.world, k, set) };
+  /** The random layout of a number, with k circles or gaps of so many px: the parts of a scene. */
+  generate({ k, layout }) {
+    return { circles: generate(this.world, k, layout) };
   }
 
-  /** The set whose rows [x, y, radius, ...] a layout file has. */
+  /** The layout whose rows [x, y, radius, ...] a layout file has; rows that no drone can sense fill up a slalom's. */
   read(rows) {
-    return { circles: rows };
+    const { width, height, sensor_radius: reach } = this.world;
+    const isThere = ([x, y, radius]) => Math.hypot(x - clamp(x, 0, width), y - clamp(y, 0, height)) <= radius + reach;
+    return { circles: rows.filter(isThere) };
   }
 
-  /** A set with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
-  arrange(set, circles, seed) {
-    return { ...set, circles };
+  /** A layout with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
+  arrange(layout, circles, seed) {
+    return { ...layout, circles };
   }
 
-  /** Where the circles of a set are after so many steps. */
-  obstacles(set, steps) {
-    return set.circles;
+  /** Where the circles of a layout are after so many steps. */
+  obstacles(layout, steps) {
+    return layout.circles;
   }
 
   /** How many numbers a policy sees. */
@@ -209,40 +211,40 @@ class Task {
   }
 
   /** Where an episode starts: the centre of the window, heading up. draws: of `draw`, disturb what is sensed first. */
-  start(set, draws) {
+  start(layout, draws) {
     const counts = { steps: 0, stops: 0, full_stops: 0, turns: 0, distance: 0, reward: 0, waited: 0 };
     const { width, height } = this.world;
-    return this.remember({ x: width / 2, y: height / 2, heading: 90, ...counts }, set, draws);
+    return this.remember({ x: width / 2, y: height / 2, heading: 90, ...counts }, layout, draws);
   }
 
   /** The same state where only what is there now was ever sensed, if there are faults; the last action stays. */
-  remember(state, set, draws) {
+  remember(state, layout, draws) {
     if (!this.remembers) return state;
-    const seen = Array(this.faults.late + 1).fill(this.sense(state, set, draws).observation);
+    const seen = Array(this.faults.late + 1).fill(this.sense(state, layout, draws).observation);
     return { ...state, seen, executed: state.executed ?? 0 };
   }
 
   /** What is sensed now; without draws, as it is. Circles move also while a drone has waited. -> { observation, clearance } */
-  sense(state, set, draws) {
+  sense(state, layout, draws) {
     const echoes = draws?.length ? echoesOf(this.world, this.faults, draws) : undefined;
-    return sense(this.world, state, this.obstacles(set, state.steps + state.waited), echoes);
+    return sense(this.world, state, this.obstacles(layout, state.steps + state.waited), echoes);
   }
 
   /** What a policy sees, late where observations are. -> { observation, clearance } */
-  observe(state, set) {
-    const { observation, clearance } = this.sense(state, set);
+  observe(state, layout) {
+    const { observation, clearance } = this.sense(state, layout);
     return { observation: this.remembers ? state.seen.at(-1) : observation, clearance };
   }
 
   /** Move, sense, then judge. -> { state, observation, clearance, ended: "", "collision", "goal" or "time-out" } */
-  step(state, action, set, draws) {
+  step(state, action, layout, draws) {
     const sticks = this.faults.sticky && state.steps > 0 && draws.at(-1) < this.faults.sticky;
     const executed = sticks ? state.executed : action;
     const [degrees, pixels] = decode(this.world, executed);
     const moved = { ...state, ...move(state, degrees, pixels), steps: state.steps + 1 };
-    const { observation, clearance } = this.sense(moved, set, draws);
+    const { observation, clearance } = this.sense(moved, layout, draws);
     const collided = clearance <= this.world.drone_radius;
-    const [arrived, earned] = this.judge(state, moved, { degrees, pixels, collided }, set);
+    const [arrived, earned] = this.judge(state, moved, { degrees, pixels, collided }, layout);
     const stopped = Number(pixels === 0);
     const after = {
       ...moved,
@@ -259,7 +261,7 @@ class Task {
   }
 
   /** What circles leave free: [x, y, room], px from a place to every circle's edge. The start is one. */
-  free(set) {
+  free(layout) {
     return [[this.world.width / 2, this.world.height / 2, this.world.safe_zone]];
   }
 
@@ -271,8 +273,8 @@ class Task {
 
 /** Four columns of circles, each with a gap. */
 class Slalom extends Task {
-  generate({ gap, set }) {
-    return { circles: generateSlalom(this.rules, gap, set) };
+  generate({ gap, layout }) {
+    return { circles: generateSlalom(this.rules, gap, layout) };
   }
 }
 
@@ -280,17 +282,17 @@ class Slalom extends Task {
 class Moving extends Task {
   moves = true;
 
-  generate({ k, set }) {
-    return this.arrange({}, generate(this.world, k, set), set);
+  generate({ k, layout }) {
+    return this.arrange({}, generate(this.world, k, layout), layout);
   }
 
-  arrange(set, circles, seed) {
-    return { ...set, circles: withVelocities(circles, this.world.speed_min, this.world.speed_max, seed) };
+  arrange(layout, circles, seed) {
+    return { ...layout, circles: withVelocities(circles, this.world.speed_min, this.world.speed_max, seed) };
   }
 
   /** Each as [x, y, radius, vx, vy] now. */
-  obstacles(set, steps) {
-    return set.circles.map(([x, y, radius, vx = 0, vy = 0]) => {
+  obstacles(layout, steps) {
+    return layout.circles.map(([x, y, radius, vx = 0, vy = 0]) => {
       const [nowX, nowVx] = reflect(x, vx, steps, this.world.width);
       const [nowY, nowVy] = reflect(y, vy, steps, this.world.height);
       return [nowX, nowY, radius, nowVx, nowVy];
@@ -300,8 +302,8 @@ class Moving extends Task {
 
 /** A place to fly to among circles that stand still: an observation has three numbers more. */
 class Goal extends Task {
-  generate({ k, set }) {
-    return generateGoal(this.world, this.rules, k, set);
+  generate({ k, layout }) {
+    return generateGoal(this.world, this.rules, k, layout);
   }
 
   read(rows) {
@@ -312,8 +314,8 @@ class Goal extends Task {
     return super.observationSize + 3;
   }
 
-  free(set) {
-    return [...super.free(set), [...set.goal, this.rules.room]];
+  free(layout) {
+    return [...super.free(layout), [...layout.goal, this.rules.room]];
   }
 
   /** From a place to the goal: dx, dy and distance [px]. */
@@ -323,18 +325,18 @@ class Goal extends Task {
   }
 
   /** The slots, then the direction to the goal, right and forward, and its distance in 1,000 px, at most 1. */
-  sense(state, set, draws) {
-    const { observation, clearance } = super.sense(state, set, draws);
-    const way = this.toGoal(state, set);
+  sense(state, layout, draws) {
+    const { observation, clearance } = super.sense(state, layout, draws);
+    const way = this.toGoal(state, layout);
     const parts = direction(way, state.heading).map((part) => clamp(part, -1, 1));
     const ahead = [...parts, Math.min(f32(way[2] / this.rules.scale), 1)];
     return { observation: Float32Array.from([...observation, ...ahead]), clearance };
   }
 
   /** The goal earns 10, a pixel nearer to it 0.01, a turn or a stop -0.01; a collision -10 and nothing else. */
-  judge(before, after, { degrees, pixels, collided }, set) {
+  judge(before, after, { degrees, pixels, collided }, layout) {
     const { world } = this;
-    const [far, near] = [before, after].map((state) => this.toGoal(state, set)[2]);
+    const [far, near] = [before, after].map((state) => this.toGoal(state, layout)[2]);
     const arrived = near <= world.goal_radius;
     if (collided) return [arrived, world.collision_reward];
     const penalty = pixels === 0 || degrees !== 0 ? world.penalty : 0;

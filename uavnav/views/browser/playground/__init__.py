@@ -69,7 +69,7 @@ class Setting(NamedTuple):
     step: float
     first: float
     unit: str = ""
-    worlds: tuple[str, ...] = ()  # that have it; none: a fault, which any task can have
+    tasks: tuple[str, ...] = ()  # that have it; none: a fault, which any task can have
 
 
 def _rungs(name: str) -> tuple[float, float]:
@@ -92,7 +92,7 @@ TOLD = {
     "goal": "Fly to the rings, in at most 1,000 steps. It takes a network that senses its goal.",
 }
 """What the page says of each task."""
-WORLDS = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
+TITLES = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
 
 
 class Flyers(NamedTuple):
@@ -201,7 +201,7 @@ def shows(run: Path) -> bool:
 
 
 def _refuse(path: str, reason: str) -> None:
-    raise PolicyError(f"{path}: {reason}; watch it: uavnav render {path} --out flight.gif")
+    raise PolicyError(f"{path}: {reason}; watch it: uavnav render {path} --out episode.gif")
 
 
 def _order(policy: Policy) -> tuple[int, int]:
@@ -240,7 +240,7 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
     task = policy.task
-    place = "" if name_of(task) == "drone" else f" with {WORLDS[name_of(task)]['title']}"
+    place = "" if name_of(task) == "drone" else f" with {TITLES[name_of(task)]['title']}"
     place += "" if task.faults == NO_FAULTS else f" with {str(task.faults).replace(',', ', ')}"
     trained = f"{frames:,} frames of training" if frames else "trained elsewhere"
     return {
@@ -289,14 +289,15 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     """The one HTML file."""
     found, opening = flyers.policies, opening or Opening()
     metrics = [{"name": name, **METRICS[name]._asdict()} for name in paper.COLUMNS]
-    settings = {name: one._asdict() for name, one in SETTINGS.items()}
     scene = _scene(flyers, opening)
+    settings = {name: {**one._asdict(), "here": scene[name]} for name, one in SETTINGS.items()}
     data: dict[str, Any] = {
         "tasks": browser.constants(),
         "settings": settings,
-        "worlds": WORLDS,
+        "titles": TITLES,
         "metrics": metrics,
         "columns": list(EPISODE_COLUMNS),
+        "limit": MAX_STEPS,  # of an episode that can be kept
         "colours": {"known": colours.PILOTS, "others": colours.OTHERS},
         "policies": found,
         "scene": scene,
@@ -312,7 +313,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
             data["layouts"][name] = {
                 split: _rows(splits.load(split, world)[:EPISODES]) for split in ALL_SPLITS
             }
-            if name == scene["world"]:
+            if name == scene["task"]:
                 given = splits.load(opening.layouts, world)
                 if not 0 <= opening.layout < len(given):
                     raise ConfigError(f"--layout {opening.layout}: choose from 0 to {len(given) - 1}")
@@ -327,7 +328,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         data=Markup(text),
         metrics=metrics,
         settings=SETTINGS,
-        worlds=WORLDS,
+        titles=TITLES,
         world=World(),
         others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
         told=f"It contains {len(found)} trained networks: {configurations} pairs of an algorithm and an "
@@ -341,18 +342,18 @@ def _rows(layouts: Tensor) -> dict[str, Any]:
 
 
 def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
-    """The scene of a page opened without a link: you and who was named, or two runs and the script."""
+    """The scene of a page opened without a link: you and who was named, or two runs and `reactive`."""
     named = [one for one in flyers.policies if one["key"] in flyers.named]
     first = min(named, key=lambda one: flyers.named.index(one["key"]), default=None)
     tasks = [one["task"] for one in ([first] if first else flyers.policies)]
-    world = opening.task if opening.task in tasks or opening.task != "drone" else next(iter(tasks), "drone")
-    pilots = flyers.named or [*_two(flyers.policies, world), "reactive"]
+    task = opening.task if opening.task in tasks or opening.task != "drone" else next(iter(tasks), "drone")
+    pilots = flyers.named or [*_two(flyers.policies, task), "reactive"]
     you = ["you"] if len(pilots) < DRONES else []
     settings = {name: one.first for name, one in SETTINGS.items()} | (first["faults"] if first else {})
     own = opening.layouts in SPLITS or splits.is_rung(opening.layouts)
     stem = Path(opening.layouts).stem
     return {
-        "world": world,
+        "task": task,
         "layouts": opening.layouts if own else _key(*["own"] * (stem in (*SPLITS, "random")), stem),
         "layout": opening.layout,
         "k": DEFAULT_K,
@@ -366,12 +367,12 @@ def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
     }
 
 
-def _two(found: Sequence[dict[str, Any]], world: str) -> list[str]:
-    """Keys of the policies of two runs in a world, of two algorithms if there are."""
+def _two(found: Sequence[dict[str, Any]], task: str) -> list[str]:
+    """Keys of the policies of two runs in a task, of two algorithms if there are."""
     runs: dict[Any, str] = {}
     algorithms: dict[str, str] = {}
     for one in found:
-        if one["task"] == world:
+        if one["task"] == task:
             runs.setdefault((one["algorithm"], one["name"]), one["key"])
             algorithms.setdefault(one["algorithm"], one["key"])
     return list(dict.fromkeys([*algorithms.values(), *runs.values()]))[:2]

@@ -15,10 +15,11 @@ function download(name, parts) {
 
 /**
  * The row of a drone's episode, if it is one to keep: flown by a person from start to end, on a layout of the test split of
- * the paper's task as it is.
+ * the paper's task as it is, with the time limit of an evaluation.
  */
-function rowOf({ scene, task }, { pilot, state, ended, handed }) {
-  const asItIs = scene.world === "drone" && scene.layouts === "test" && !scene.circles && !task.remembers;
+function rowOf({ scene, task }, { pilot, state, ended, handed }, limit) {
+  const usual = scene.task === "drone" && task.max_steps === limit && !task.remembers;
+  const asItIs = usual && scene.layouts === "test" && !scene.circles;
   if (pilot !== YOU || !ended || handed || !asItIs) return undefined;
   const place = { seed: 0, frame: state.steps, env: scene.layout, layout: scene.layout };
   return { ...state, ...place, terminated: ended === "collision", truncated: ended !== "collision" };

@@ -32,6 +32,7 @@ const KEYS = [
   ["B", "save these obstacles as a layout file", { b: (app) => app.saveLayout() }],
   ["K", "keep your finished episodes on the test layouts, as rows for a report", { k: (app) => app.keep() }],
 ];
+const GRADUAL = new Set([".", "-", "+", "=", "n", "p", "[", "]"]); // these act again while they are held down
 const BY_KEY = Object.assign({}, ...KEYS.map(([, , acts]) => acts ?? {}));
 
 class Keyboard {
@@ -56,7 +57,7 @@ class Keyboard {
     const act = BY_KEY[key];
     if (!arrow && !act) return;
     event.preventDefault();
-    if (act) act(this.app);
+    if (act) (event.repeat && !GRADUAL.has(key)) || act(this.app);
     else if (stage.drawing) {
       const [dx, dy] = WAYS[arrow].map((way) => way * (event.shiftKey ? 1 : STRIDE.circle));
       this.app.alter(dx, dy, 0);

@@ -2,7 +2,7 @@
  * A scene as the fragment of a link, and back. What a fragment says is data of strangers: each part is checked, and what
  * does not pass is named and left out.
  *
- * A scene is { world, layouts, layout, k, circles, pilots, focus, speed, greedy, seed } and the settings of the world
+ * A scene is { task, layouts, layout, k, circles, pilots, focus, speed, greedy, seed } and the settings of the task
  * (`data.settings`: gap, pace, noise, lost, late, sticky). `layouts` names a split of the page, whose layout number `layout`
  * is that of Python, or is RANDOM: then the number is a seed, and k says how many circles there are. `circles`
  * [x, y, radius] px are drawn by hand, or null. `pilots` fly in the next race; `seed` is of all random numbers.
@@ -50,7 +50,7 @@ function readPilots(known, text) {
  */
 function readers(settings, { known, splits, world }) {
   const parts = {
-    world: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
+    task: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
     layouts: (text) => (splits.includes(text) ? text : undefined),
     layout: (text) => readNumber(text, { high: LAST_NUMBER }),
     k: (text) => readNumber(text, { high: MOST_CIRCLES }),
@@ -77,14 +77,18 @@ function readLink(fragment, read) {
   return [scene, wrong];
 }
 
-/** The fragment of a scene, without the #; settings are in it that the world has, and that are not as they come. */
+/**
+ * The fragment of a scene, without the #; settings are in it that the task has, and that are not as they come on every
+ * page, or come otherwise on this one.
+ */
 function writeLink(scene, settings) {
-  const own = Object.entries(settings).filter(
-    ([name, { first, worlds }]) => scene[name] !== first && (!worlds.length || worlds.includes(scene.world)),
-  );
+  const own = Object.entries(settings).filter(([name, { first, here, tasks }]) => {
+    const told = scene[name] !== first || here !== first;
+    return told && (!tasks.length || tasks.includes(scene.task));
+  });
   const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_")).join("~");
   const parts = {
-    world: scene.world,
+    task: scene.task,
     ...Object.fromEntries(own.map(([name]) => [name, scene[name]])),
     layouts: scene.layouts,
     layout: scene.layout,

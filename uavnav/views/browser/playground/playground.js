@@ -49,16 +49,24 @@ class Playground {
     clearTimeout(this.later);
     this.playing = false;
     const [parts, wrong] = readLink(location.hash, this.read);
-    this.race.load({ ...this.data.scene, ...parts });
+    this.load({ ...this.data.scene, ...parts });
     if (parts.circles && !this.race.circlesFit()) {
       wrong.push("circles");
-      this.race.load({ ...this.scene, circles: null });
+      this.load({ ...this.scene, circles: null });
     }
     this.focusOnFlyer();
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
-    this.share = 1;
+    this.showScene();
     this.showControls();
     this.show();
+  }
+
+  /** Begin a scene from its start; nothing that was tapped or held before counts. */
+  load(scene) {
+    this.race.load(scene);
+    this.share = 1;
+    this.keyboard.tapped.clear();
+    this.stage.select(-1);
   }
 
   /** The scene into the address. */
@@ -132,9 +140,10 @@ class Playground {
   begin() {
     const { race } = this;
     if (race.yours < 0 || race.drones[race.yours].ended) return;
+    const still = race.steps === 0 || !race.flying().length; // time stands, and nobody stopped it
     if (!race.begun) this.focusOn(race.yours + 1);
     race.begin();
-    if (race.steps === 0 && !this.playing) this.start();
+    if (still && !this.playing) this.start();
   }
 
   /** Change parts of the scene; from the start: everyone begins again. */
@@ -142,9 +151,7 @@ class Playground {
     if (fromTheStart) {
       if (this.race.begun) this.playing = false; // who flies begins with a key
       const drawn = this.scene.circles ? this.race.circles : null;
-      this.race.load({ ...this.scene, circles: drawn, ...parts });
-      this.share = 1;
-      this.stage.selected = -1;
+      this.load({ ...this.scene, circles: drawn, ...parts });
     } else Object.assign(this.scene, parts);
     this.changed();
   }
@@ -154,6 +161,7 @@ class Playground {
     clearTimeout(this.later);
     this.later = setTimeout(() => this.write(), ADDRESS);
     this.tell("");
+    this.showScene();
     this.showControls();
     this.show();
   }
@@ -163,14 +171,14 @@ class Playground {
     const value = this.read[name](text);
     if (value === undefined) return this.changed();
     if (name === "greedy") this.race.greedy(value);
-    if (name === "world") return this.enter(value);
+    if (name === "task") return this.enter(value);
     return this.change({ [name]: value, ...ALSO[name] }, name !== "speed" && name !== "greedy");
   }
 
-  /** Another world, its obstacles its own; whoever cannot fly there waits. */
-  enter(world) {
+  /** Another task, its obstacles its own; whoever cannot fly there waits. */
+  enter(task) {
     if (this.stage.drawing) this.draw();
-    this.change({ world, layouts: Object.keys(this.data.layouts[world] ?? {})[0] ?? RANDOM, circles: null }, true);
+    this.change({ task, layouts: Object.keys(this.data.layouts[task] ?? {})[0] ?? RANDOM, circles: null }, true);
     this.focusOnFlyer();
     this.changed();
   }
@@ -187,8 +195,8 @@ class Playground {
 
   /** How many layouts there are of the kind that is shown. */
   get count() {
-    const { world, layouts } = this.scene;
-    return this.data.layouts[world]?.[layouts]?.shape[0] ?? LAST_NUMBER + 1;
+    const { task, layouts } = this.scene;
+    return this.data.layouts[task]?.[layouts]?.shape[0] ?? LAST_NUMBER + 1;
   }
 
   /** Another layout, so many further on, counted round and round. */
@@ -234,7 +242,7 @@ class Playground {
       this.pause(); // what is drawn is where circles start
       this.again();
     }
-    stage.selected = stage.drawing && race.circles.length ? 0 : -1;
+    stage.select(stage.drawing && race.circles.length ? 0 : -1);
     document.body.classList.toggle("drawing", stage.drawing);
     this.showControls();
     this.show();
@@ -253,7 +261,8 @@ class Playground {
     const { circles, free } = this.race;
     const there = circle && allowed(this.world, circle, free);
     if (circles.length < MOST_CIRCLES && there) this.edit([...circles, there], circles.length);
-    else this.tell(there ? `${MOST_CIRCLES} obstacles are the most.` : "Not there: the start and the goal stay free.");
+    else if (there) this.tell(`${MOST_CIRCLES} obstacles are the most.`);
+    else this.tell(`Not there: the start${this.race.layout.goal ? " and the goal" : ""} must stay free.`);
     return this.race.circles.length > circles.length;
   }
 
@@ -261,13 +270,15 @@ class Playground {
   addFree() {
     const { circles, free } = this.race;
     const some = generate(this.world, 100, this.scene.layout + 1000 * (circles.length + 1));
-    if (this.add(some.find((circle) => allowed(this.world, circle, free)))) this.changed();
+    const isNew = ([x, y]) => circles.every((other) => Math.hypot(other[0] - x, other[1] - y) > 1);
+    if (this.add(some.find((circle) => isNew(circle) && allowed(this.world, circle, free)))) this.changed();
   }
 
   select(by) {
     const count = this.race.circles.length;
     if (!this.stage.drawing || !count) return;
-    this.stage.selected = (this.stage.selected + by + count) % count;
+    const from = this.stage.selected < 0 && by < 0 ? 0 : this.stage.selected;
+    this.stage.select((from + by + count) % count);
     this.show();
   }
 
@@ -284,6 +295,7 @@ class Playground {
     if (!this.stage.drawing || !this.race.circles[selected]) return;
     const circles = this.race.circles.toSpliced(selected, 1);
     this.edit(circles, Math.min(selected, circles.length - 1));
+    this.stage.held = null; // it has another circle now
     this.changed();
   }
 
@@ -303,9 +315,9 @@ class Playground {
 
   /** Save the obstacles as a layout file. */
   async saveLayout() {
-    const { set, scene } = this.race;
-    if (set.goal || !set.circles.length) return this.tell("Only layouts with obstacles and without a goal can be saved.");
-    await saveRows(set.circles, this.data.headers[scene.world]);
+    const { layout, scene } = this.race;
+    if (layout.goal || !layout.circles.length) return this.tell("Only layouts with obstacles and without a goal can be saved.");
+    await saveRows(layout.circles, this.data.headers[scene.task]);
     return this.tell("own.safetensors has these obstacles: uavnav play --layouts own.safetensors");
   }
 
@@ -340,6 +352,7 @@ class Playground {
   oneStep() {
     this.playing = false;
     this.fly();
+    if (!this.race.flying().length && !this.race.steps) this.race.begin(); // nobody else is in the race
     if (this.race.flying().length) this.advance();
     this.pause();
     this.describe();
@@ -358,7 +371,7 @@ class Playground {
   advance() {
     this.steer();
     const ended = this.race.step();
-    this.rows.push(...ended.map((drone) => rowOf(this.race, drone)).filter(Boolean));
+    this.rows.push(...ended.map((drone) => rowOf(this.race, drone, this.data.limit)).filter(Boolean));
     if (ended.length) {
       this.describe();
       this.showControls();
@@ -388,12 +401,16 @@ class Playground {
     this.panel.showDrone(this.race, this.focus, this.pilots[this.focus], this.cardColours, this.font);
   }
 
-  showControls() {
-    const { race, scene, stage, find } = this;
+  /** The scene's own controls: only when it changes, for a number may be half typed. */
+  showScene() {
     for (const control of this.controls) {
-      if (control.type === "checkbox") control.checked = scene[control.id];
-      else control.value = scene[control.id];
+      if (control.type === "checkbox") control.checked = this.scene[control.id];
+      else control.value = this.scene[control.id];
     }
+  }
+
+  showControls() {
+    const { race, stage, find } = this;
     say(find("play"), this.playing ? "Pause" : "Play");
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
     find("drawing").hidden = !stage.drawing;
@@ -422,25 +439,25 @@ class Playground {
     for (const option of find("pilot").options) option.disabled = option.value !== NOBODY && !race.canFly(option.value);
   }
 
-  /** The world with its layouts, sliders and faults. */
+  /** The task with its layouts, sliders and faults. */
   showWorld() {
     const { race, scene, find } = this;
-    const { settings, policies, worlds, layouts } = this.data;
-    for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.world]?.[option.value];
+    const { settings, policies, titles, layouts } = this.data;
+    for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
     find("layout").max = this.count - 1;
     find("k").value = race.circles.length;
     find("k").disabled = this.stage.drawing;
-    find("k").closest("label").hidden = scene.world === "slalom";
+    find("k").closest("label").hidden = scene.task === "slalom";
     say(find("k-now"), String(race.circles.length));
-    for (const [name, { worlds: where, unit }] of Object.entries(settings)) {
-      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.world);
+    for (const [name, { tasks: where, unit }] of Object.entries(settings)) {
+      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.task);
       say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
     }
-    const faults = Object.entries(settings).filter(([name, { worlds: where }]) => !where.length && scene[name] > 0);
+    const faults = Object.entries(settings).filter(([name, { tasks: where }]) => !where.length && scene[name] > 0);
     say(find("faults-now"), faults.map(([name]) => `${name} ${short(scene[name])}`).join(", ") || "none");
     const able = !policies.length || policies.some(({ key }) => race.canFly(key));
     const told = able ? "" : " No network here has learned that: you and the scripted policy fly.";
-    say(find("told"), `${worlds[scene.world].told}${told}`);
+    say(find("told"), `${titles[scene.task].told}${told}`);
     find("told").hidden = !find("told").textContent;
   }
 
@@ -464,9 +481,11 @@ class Playground {
 
   /** Words for those who do not see the arena: after a step, and when an episode ends. */
   describe() {
-    const words = this.race.drones.map(({ pilot, state, ended }, place) => {
+    const flying = this.race.flying();
+    const words = this.race.drones.map((drone, place) => {
+      const { pilot, state, ended } = drone;
       const [who, more] = nameOf(pilot, this.data.policies);
-      const how = ended ? ENDS[ended] : "flies";
+      const how = ended ? ENDS[ended] : flying.includes(drone) ? "flies" : "waits";
       return !this.race.canFly(pilot) ? "" : `${place + 1}, ${who} ${more}: ${how}, step ${state.steps}, reward ${fixed(state.reward, 1)}.`;
     });
     say(this.find("status"), words.filter(Boolean).join(" "));

@@ -165,8 +165,8 @@ const ACTS = {
 const SHOWN = { probability: softmax, "Q value": (values) => [...values] };
 
 /**
- * What a policy of the page makes of an observation: { action, hidden, shares, low, high }, where `shares` [actions] is
- * what a picture shows. draw: uniform random numbers; greedy: the best action always.
+ * What a policy of the page makes of an observation: { action, hidden, shown, low, high }, where `shown` [actions] is
+ * what a picture shows, from `low` to `high`. draw: uniform random numbers; greedy: the best action always.
  */
 function thinker(policy) {
   let think; // unpacked when it is first asked

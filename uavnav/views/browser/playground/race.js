@@ -7,7 +7,7 @@ const TRAIL = 1500; // points of a trail that are kept, up to the pose before th
 const ROUNDED = 0.15; // [px] that a link, which has one decimal, may bring a circle nearer
 
 class Race {
-  /** data: the page's, with constants of each world, layouts and policies; scene: as link.js has it. */
+  /** data: the page's, with constants of each task, layouts and policies; scene: as link.js has it. */
   constructor({ tasks, layouts, policies }, scene) {
     Object.assign(this, { tasks, layouts, policies });
     this.thinkers = Object.fromEntries(policies.map((policy) => [policy.key, thinker(policy)]));
@@ -17,14 +17,15 @@ class Race {
 
   /** Begin a scene from its start. */
   load(scene) {
-    const { noise, lost, late, sticky } = scene;
-    const given = this.tasks[scene.world];
-    const world = scene.world === "moving" ? { ...given.world, speed_max: scene.pace } : given.world;
-    this.task = new TASKS[scene.world]({ ...given, world }, { noise, lost, late, sticky });
-    const split = this.layouts[scene.world]?.[scene.layouts];
+    const given = this.tasks[scene.task];
+    const split = this.layouts[scene.task]?.[scene.layouts];
     this.scene = split ? { ...scene, layout: scene.layout % split.shape[0] } : { ...scene, layouts: RANDOM };
-    this.set = split ? this.task.read(rowsOf(split, this.scene.layout)) : this.task.generate(scene);
-    if (scene.circles) this.set = this.task.arrange(this.set, scene.circles, scene.layout);
+    if (scene.task === "moving" && split && !scene.circles) this.scene.pace = given.world.speed_max; // the split's own
+    const { noise, lost, late, sticky, pace } = this.scene;
+    const world = scene.task === "moving" ? { ...given.world, speed_max: pace } : given.world;
+    this.task = new TASKS[scene.task]({ ...given, world }, { noise, lost, late, sticky });
+    this.layout = split ? this.task.read(rowsOf(split, this.scene.layout)) : this.task.generate(scene);
+    if (scene.circles) this.layout = this.task.arrange(this.layout, scene.circles, scene.layout);
     this.again();
   }
 
@@ -32,14 +33,14 @@ class Race {
     return this.task.world;
   }
 
-  /** Those of the set, as they are at the start: [x, y, radius] px. */
+  /** Those of the layout, as they are at the start: [x, y, radius] px. */
   get circles() {
-    return this.set.circles.map((circle) => circle.slice(0, 3));
+    return this.layout.circles.map((circle) => circle.slice(0, 3));
   }
 
   /** What circles leave free: [x, y, room] px. */
   get free() {
-    return this.task.free(this.set);
+    return this.task.free(this.layout);
   }
 
   /** Whether all circles leave free what they must, as far as a link can say. */
@@ -55,17 +56,16 @@ class Race {
     this.drones = this.scene.pilots.map((pilot, place) => {
       const seed = this.scene.seed + place * 0x9e3779b1;
       const [draw, chance] = [randomNumbers(seed), randomNumbers(seed ^ 0x3c6ef372)]; // of the policy, and of faults
-      const state = this.task.start(this.set, this.task.draw(chance));
-      const before = this.drones?.[place].before ?? pilot; // who had it, if someone else has it now
-      const other = before === pilot ? (pilot === YOU ? REACTIVE : YOU) : before;
-      return { pilot, before: other, state, last: state, trail: [], draw, chance, ended: "", handed: false };
+      const state = this.task.start(this.layout, this.task.draw(chance));
+      const before = this.drones?.[place].before ?? REACTIVE; // to whom a person hands it back
+      return { pilot, before, state, last: state, trail: [], draw, chance, ended: "", handed: false };
     });
     this.drones.forEach((drone) => this.look(drone));
   }
 
   /** Other obstacles, while everyone flies on. */
   replaceCircles(circles) {
-    this.set = this.task.arrange(this.set, circles, this.scene.layout);
+    this.layout = this.task.arrange(this.layout, circles, this.scene.layout);
     for (const drone of this.drones) {
       if (!drone.ended) this.wake(drone);
     }
@@ -80,23 +80,19 @@ class Race {
     const [drone, had, other] = [this.drones[place], pilots[place], pilots.indexOf(YOU)];
     if (had === pilot) return;
     if (pilot === YOU && other >= 0) this.handTo(other, this.drones[other].before);
-    if (had !== NOBODY) drone.before = had;
+    if (had !== NOBODY && had !== YOU) drone.before = had;
     this.scene.pilots = this.scene.pilots.with(place, pilot);
     if (drone.ended) return;
-    const waited = this.steps > 0 && !this.flying().includes(drone);
     drone.pilot = pilot;
     drone.handed = drone.handed || this.steps > 0;
     if (pilot === YOU) this.begun = this.steps > 0;
-    if (waited) this.wake(drone);
-    else this.decide(drone);
+    this.decide(drone);
   }
 
   /** The person begins to steer: the drone that waited takes off. */
   begin() {
     const drone = this.drones[this.yours];
-    if (this.begun || !drone || drone.ended) return;
-    this.begun = true;
-    if (this.steps) this.wake(drone);
+    if (drone && !drone.ended) this.begun = true;
   }
 
   greedy(greedy) {
@@ -106,12 +102,12 @@ class Race {
 
   /** Sense what is there now, whatever was sensed before. */
   wake(drone) {
-    drone.state = this.task.remember(drone.state, this.set, this.task.draw(drone.chance));
+    drone.state = this.task.remember(drone.state, this.layout, this.task.draw(drone.chance));
     this.look(drone);
   }
 
   look(drone) {
-    Object.assign(drone, this.task.observe(drone.state, this.set));
+    Object.assign(drone, this.task.observe(drone.state, this.layout));
     this.decide(drone);
   }
 
@@ -125,7 +121,7 @@ class Race {
   decide(drone) {
     const { pilot, observation, draw } = drone;
     if (pilot === YOU || !this.canFly(pilot)) drone.thought = {};
-    else if (SCRIPTED[pilot]) drone.thought = { action: SCRIPTED[pilot](this.scene.world, this.task, observation, draw) };
+    else if (SCRIPTED[pilot]) drone.thought = { action: SCRIPTED[pilot](this.scene.task, this.task, observation, draw) };
     else drone.thought = this.thinkers[pilot](observation, draw, this.scene.greedy);
   }
 
@@ -145,13 +141,15 @@ class Race {
     const flying = this.flying();
     this.steps += 1;
     for (const drone of this.drones) {
-      if (!drone.ended && !flying.includes(drone)) drone.state = drone.last = { ...drone.state, waited: drone.state.waited + 1 };
+      if (drone.ended || flying.includes(drone)) continue;
+      drone.state = drone.last = { ...drone.state, waited: drone.state.waited + 1 };
+      this.wake(drone);
     }
     for (const drone of flying) {
       const action = drone.thought.action ?? encode(this.world, this.hand);
       drone.last = drone.state;
       drone.trail.push([drone.last.x, drone.last.y]);
-      Object.assign(drone, this.task.step(drone.state, action, this.set, this.task.draw(drone.chance)));
+      Object.assign(drone, this.task.step(drone.state, action, this.layout, this.task.draw(drone.chance)));
       if (drone.trail.length > TRAIL) drone.trail.shift();
       if (!drone.ended) this.decide(drone);
     }
@@ -160,7 +158,7 @@ class Race {
 
   /** Where the obstacles are so much of the way [0 to 1] from the last step to this one, for a picture. */
   obstaclesAt(share) {
-    return this.task.obstacles(this.set, Math.max(0, this.steps - 1 + share));
+    return this.task.obstacles(this.layout, Math.max(0, this.steps - 1 + share));
   }
 
   /** Where a drone is so much of the way [0 to 1] from its last pose to this one, for a picture. */

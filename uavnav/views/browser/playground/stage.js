@@ -27,12 +27,13 @@ function allowed(world, [x, y, radius], free) {
 }
 
 class Stage {
-  /** app: has `race`, `world`, `circles`, `edit(circles, selected)`, `focusOn(number)`; element: with the canvas inside. */
+  /** app: the page; element: with the canvas inside. */
   constructor(app, element) {
     Object.assign(this, { app, element, canvas: element.querySelector("canvas") });
     this.drawing = false; // whether the pointer draws obstacles
     this.selected = -1; // the circle that keys and buttons change
     this.target = null; // [x, y] px where a held pointer is
+    this.held = null; // what a drag of the selected circle does
     const listen = (name, act) => this.canvas.addEventListener(name, (event) => act.call(this, event, this.at(event)));
     listen("pointerdown", this.press);
     listen("pointermove", this.drag);
@@ -92,6 +93,12 @@ class Stage {
     }
   }
 
+  /** Another circle or none is selected; whichever was held is so no more. */
+  select(place) {
+    this.selected = place;
+    this.held = null;
+  }
+
   sized([toX, toY]) {
     const [x, y] = this.app.race.circles[this.selected];
     this.change([x, y, Math.hypot(toX - x, toY - y)]);
@@ -129,7 +136,7 @@ class Stage {
         faint: !seen,
       };
     });
-    const there = { circles: race.obstaclesAt(share), goal: race.set.goal };
+    const there = { circles: race.obstaclesAt(share), goal: race.layout.goal };
     const { context, thick } = drawArena(this.canvas, { world, ...there, drones, colours });
     if (this.drawing) this.drawHelp(context, thick, colours);
   }

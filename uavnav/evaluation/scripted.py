@@ -13,7 +13,7 @@ from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.protocol import DRAWS, ORCA, SCRIPTS, USUAL, VFH
+from uavnav.tasks.protocol import DRAWS, ORCA, SCRIPTED, USUAL, VFH
 from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
@@ -49,11 +49,13 @@ def protocol_in(
     return Protocol(layouts, episodes, max_steps, faults, name_of(task), shield=shield)
 
 
-def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[str, pd.DataFrame], list[str]]:
+def rows_of_scripted(
+    folders: Sequence[Path], protocol: Protocol
+) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """Rows of scripted policies, from the first folder that has them; and commands for the usual others."""
     found, left_out = {}, []
     has = {
-        name: [folder for folder in folders if (folder / protocol.file(name)).exists()] for name in SCRIPTS
+        name: [folder for folder in folders if (folder / protocol.file(name)).exists()] for name in SCRIPTED
     }
     absent = [name for name in USUAL if not has[name]]
     if absent:

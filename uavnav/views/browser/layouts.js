@@ -1,5 +1,5 @@
 /*
- * Sets of obstacles, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each is a
+ * Layouts, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each is a
  * function of its seed. `rules` are uavnav/views/browser/__init__.py's.
  */
 
@@ -85,7 +85,7 @@ function roomAt({ width, height, border }, circles, x, y) {
   return Math.min(x - border, width - border - x, y - border, height - border - y, ...edges);
 }
 
-const SETS_TRIED = 20; // without a goal, before a circle is left out
+const LAYOUTS_TRIED = 20; // without a goal, before a circle is left out
 
 /** Circles with a goal that can be reached: { circles, goal }. The goal is uniform where there is room: goal.py. */
 function generateGoal(world, rules, k, seed) {
@@ -100,6 +100,6 @@ function generateGoal(world, rules, k, seed) {
       const free = away([world.width / 2, world.height / 2]) >= far && roomAt(world, circles, ...goal) >= room;
       if (free && places.some((place) => away(place) <= world.goal_radius)) return { circles, goal };
     }
-    circles = generate(world, Math.max(0, k - Math.floor(tried / SETS_TRIED)), Math.floor(2 ** 32 * draw()));
+    circles = generate(world, Math.max(0, k - Math.floor(tried / LAYOUTS_TRIED)), Math.floor(2 ** 32 * draw()));
   }
 }

@@ -13,7 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uavnav.envs.drawing import GROUND, INK, STEPS_PER_SECOND, Picture
-from uavnav.views.render import Episode, Film, fly, load_layout, load_pilots, save
+from uavnav.tasks.layouts import load
+from uavnav.views.render import Episode, Film, fly, load_pilots, save
 
 LAYOUT, STEPS, EVERY, SPEED, WIDTH = 56, 600, 6, 4, 280
 DPI, HEIGHT = 100, 170
@@ -46,7 +47,7 @@ def colour(rgb: tuple[int, int, int]) -> tuple[float, ...]:
 
 def main(words: list[str]) -> None:
     """Fly, draw, write."""
-    layouts = load_layout("test", LAYOUT)
+    layouts = load("test")
     episodes = [fly(pilot, layouts, LAYOUT, STEPS) for pilot in load_pilots(words)]
     film = Film(episodes, layouts[LAYOUT], WIDTH, EVERY)
     pictures = [np.vstack(both) for both in zip(film, curves(episodes, film), strict=True)]

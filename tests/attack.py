@@ -34,6 +34,8 @@ import torch
 import warm
 from bad_input import tree
 
+from uavnav import files
+
 LINE = 300
 """Characters of a line that refuses."""
 MEMORY = 3.0
@@ -227,10 +229,7 @@ class Attempt:
         resource.setrlimit(resource.RLIMIT_AS, (taken + ROOM, taken + ROOM))
         resource.setrlimit(resource.RLIMIT_FSIZE, (FILE, FILE))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        asked = os.sysconf
-        # so much a machine of this size would leave for a run
-        pages = int(self.memory / 2) // resource.getpagesize()
-        os.sysconf = lambda name: pages if name == "SC_PHYS_PAGES" else asked(name)
+        files.MEMORY_BYTES = int(self.memory / 2)  # so much a machine of this size would leave for a run
         self.case.spoil(self.here)
         before = tree(self.here)
         (self.scratch / "ready").touch()

@@ -54,9 +54,6 @@ def test_who_stands_still_in_the_empty_arena_does_so_for_500_steps_from_each_of_
         (s, h): 500 for s in (4, 5) for h in range(4)
     }
     assert {*flown["action"]} == {STOP}
-    assert len(in_empty_arena({"greedy": population(tmp_path)}, steps=1)) == 4
-    with pytest.raises(ValueError, match="max_steps=0"):
-        in_empty_arena({"greedy": population(tmp_path)}, steps=0)
 
 
 def test_straight_episodes_from_the_centre_end_at_the_four_walls(tmp_path):
@@ -108,15 +105,6 @@ def test_overestimation_of_a_seed_does_not_depend_on_the_others(tmp_path):
     alone = overestimation(population(tmp_path, (5,)), 0.99, steps=20, n_layouts=3)
     pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), alone)
     assert both["q"].nunique() == 2
-
-
-@pytest.mark.parametrize(
-    ("gamma", "n_layouts", "message"),
-    [(None, 3, "gamma=None; give a discount"), (0.9, 1001, "give 1 to 1000 layouts")],
-)
-def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, message):
-    with pytest.raises(ValueError, match=message):
-        overestimation(population(tmp_path), gamma, n_layouts=n_layouts)
 
 
 # -- their files ---------------------------------------------------------------------------------------------

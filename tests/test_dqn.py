@@ -235,7 +235,7 @@ def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
     assert DQNConfig(n_envs=64).iterations * 16 == 250_000
     assert DQNConfig(n_envs=16).updates_per_step == 4
     assert DQNConfig(n_envs=1).updates_per_step == 1
-    assert DQNConfig(n_envs=1).steps_between_updates == 4
+    assert DQNConfig(n_envs=1).frames_per_iteration == 4
     with pytest.raises(ConfigError, match=r"n_envs=6; give a multiple or a divisor of frames_per_update=4"):
         DQNConfig(n_envs=6)
 

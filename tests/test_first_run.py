@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -43,7 +44,8 @@ def test_where_no_terminal_shows_a_run_it_says_after_five_seconds_of_learning_ho
     monkeypatch.setattr(display.time, "monotonic", lambda: clock[0])
     config = DQNConfig(n_envs=32, learning_starts=1000, total_frames=80_000)
     with display.Display(config, quiet) as shown:
-        shown.begin(Path("run"), {"compiled": False, "threads": 1})
+        meta = {"compiled": False, "threads": 1}
+        shown.begin(SimpleNamespace(path=Path("run"), meta=meta, until=None), 0)
         for clock[0], frames in [(0.0, 500), (9.0, 1000), (13.0, 3000), (14.0, 6000), (20.0, 9000)]:
             shown.update(frames, NOTHING)
     lines = [line for line in capsys.readouterr().out.splitlines() if "at this rate" in line]

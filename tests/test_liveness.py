@@ -316,7 +316,8 @@ def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatc
     with pytest.raises(RunError, match="engine=queue: does not answer for 1 s; the same command goes on"):
         Runner(Path("unused"), [configuration], Queue(), say=said.append)._check_engine()
     assert len(said) == 3
-    assert said[0] == f"engine=queue: does not answer for 0 s: {run.CHECK}"
+    why = "its machines are checked, which may wait in a queue"
+    assert said[0] == f"engine=queue: does not answer for 0 s: {why}"
 
 
 @pytest.mark.parametrize(("frames", "hours"), [(1_000, 4), (2_048, 48)])

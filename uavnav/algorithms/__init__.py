@@ -20,9 +20,8 @@ class Algorithm(NamedTuple):
     values: str  # what its outputs are, for people
     shown: str  # what a picture shows of them: a name of `acting.SHOWN`
     head: str = "direct"  # how outputs become one number an action: a name of `acting.HEADS`
-    logs: tuple[
-        str | int, ...
-    ] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
+    # when Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
+    logs: tuple[str | int, ...] = ()
 
     @property
     def presets(self) -> Mapping[str, Any]:
@@ -71,13 +70,8 @@ BUILT_IN = {
     "ppo": Algorithm(
         "uavnav.algorithms.ppo", "categorical", "logits", "probability", logs=("frames", "frames_per_batch")
     ),
-    "dqn": Algorithm(
-        "uavnav.algorithms.dqn",
-        "epsilon-greedy",
-        "Q values",
-        "Q value",
-        logs=("episodes", 4),
-    ),
+    # logs as all that learns from replay in Stable-Baselines3
+    "dqn": Algorithm("uavnav.algorithms.dqn", "epsilon-greedy", "Q values", "Q value", logs=("episodes", 4)),
     "a2c": Algorithm(
         "uavnav.algorithms.a2c",
         "categorical",
@@ -91,7 +85,7 @@ BUILT_IN = {
         "Q values",
         "Q value",
         "distribution",
-        logs=("episodes", 4),  # as all that learns from replay there
+        logs=("episodes", 4),
     ),
     "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
     "pqn": Algorithm(

@@ -35,8 +35,7 @@ from uavnav.training.update import Learner, RMSprop
 __all__ = ["A2C", "PRESETS", "A2CConfig", "train"]
 
 HOW = ALGORITHMS["a2c"]
-LOG_FRAMES = 2_000
-"""Frames per seed between two rows of progress."""
+LOG_FRAMES = 2_000  # frames per seed between two rows of progress
 
 
 class A2CConfig(TrainConfig):

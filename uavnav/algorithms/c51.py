@@ -65,7 +65,6 @@ class C51Config(QConfig):
         return C51Loss(network, self)
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where the memory is too small for networks, buffers or a projection."""
         super().check_machine()
         named = f"n_atoms={self.n_atoms}, batch_size={self.batch_size}: the projection of a target"
         self.check_memory(named, 4 * self.batch_size * self.n_atoms**2, "fewer atoms or a smaller batch_size")

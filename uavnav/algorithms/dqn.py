@@ -94,11 +94,6 @@ class QConfig(ReplayConfig, ExploringConfig):
         """The same, and with `dueling` the state's value in front."""
         return super().n_outputs + self.dueling
 
-    @property
-    def frames_between_targets(self) -> int:
-        """Frames per seed from one copy of theta to the next, whole steps of all environments."""
-        return max(self.target_update_frames // self.n_envs, 1) * self.n_envs
-
     def epsilon(self, frames: int) -> float:
         """The same, and all actions are random until learning starts."""
         return 1.0 if frames < self.learning_starts else super().epsilon(frames)
@@ -167,7 +162,7 @@ def make_learner(loss: nn.Module, config: QConfig, compile: bool, replay: Replay
 
 def renews_target(config: QConfig, frames: int) -> bool:
     """Whether theta- becomes a copy of theta in the iteration that ends after so many frames per seed."""
-    every = config.frames_between_targets
+    every = max(config.target_update_frames // config.n_envs, 1) * config.n_envs  # whole steps of all
     return frames // every > (frames - config.frames_per_iteration) // every
 
 

@@ -32,8 +32,7 @@ from uavnav.training.update import Adam, Learner
 __all__ = ["PQN", "PRESETS", "PQNConfig", "train"]
 
 HOW = ALGORITHMS["pqn"]
-LEARNED = ("observation", "action", "value_target")
-"""What `PQNLoss` is given of a step."""
+LEARNED = ("observation", "action", "value_target")  # what `PQNLoss` is given of a step
 
 
 class PQNConfig(RolloutConfig, ExploringConfig):

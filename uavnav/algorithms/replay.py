@@ -21,10 +21,8 @@ from uavnav.settings import Count, Whole, key
 from uavnav.tasks.seeding import Streams
 from uavnav.training.config import TrainConfig
 
-LOG_FRAMES = 5_000
-"""Frames per seed between two rows of progress."""
-OTHERS = 4
-"""Numbers of a transition besides its observations: action, reward and two flags."""
+LOG_FRAMES = 5_000  # frames per seed between two rows of progress
+OTHERS = 4  # numbers of a transition besides its observations: action, reward and two flags
 
 
 class ReplayConfig(TrainConfig):
@@ -51,7 +49,6 @@ class ReplayConfig(TrainConfig):
             )
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where the memory is too small for networks or buffers of all seeds."""
         super().check_machine()
         capacity = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1
@@ -78,16 +75,12 @@ class ReplayConfig(TrainConfig):
 
     @property
     def frames_per_iteration(self) -> int:
-        return self.n_envs * self.steps_between_updates
+        """From one round of gradient steps to the next, whole steps of all environments."""
+        return self.n_envs * max(self.frames_per_update // self.n_envs, 1)
 
     @property
     def frames_before_learning(self) -> int:
         return max(self.learning_starts, self.steps_in_target * self.n_envs)  # a row has its successors
-
-    @property
-    def steps_between_updates(self) -> int:
-        """Steps of all environments from one round of gradient steps to the next."""
-        return max(self.frames_per_update // self.n_envs, 1)
 
     @property
     def updates_per_step(self) -> int:

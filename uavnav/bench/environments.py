@@ -14,10 +14,8 @@ import numpy as np
 
 from uavnav.bench import Result
 
-WARM_UP = 10
-"""Calls before those that are timed."""
-PATIENCE = 300.0
-"""Seconds in which all processes come that measure side by side."""
+WARM_UP = 10  # calls before those that are timed
+PATIENCE = 300.0  # seconds in which all processes come that measure side by side
 
 
 def batched(

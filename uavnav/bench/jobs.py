@@ -27,10 +27,8 @@ from typing import Any
 from uavnav.bench import Result
 
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-LONGEST = 4 * 3600.0
-"""Seconds after which any job is given up."""
-LIBRARIES = {"stable_baselines3": "Stable-Baselines3", "sbx": "SBX"}
-"""Peers that may not be installed."""
+LONGEST = 4 * 3600.0  # seconds after which any job is given up
+LIBRARIES = {"stable_baselines3": "Stable-Baselines3", "sbx": "SBX"}  # peers that may not be installed
 
 Process = subprocess.Popen[bytes]
 
@@ -135,8 +133,7 @@ def _found(job: Process, said: Path) -> Result:
     lines = said.read_text(errors="replace").strip().splitlines()
     if job.poll():
         raise JobError(f"failed: {lines[-1] if lines else job.returncode}")
-    found: Result = json.loads(next((line for line in reversed(lines) if line.startswith("{")), "{}"))
-    return found
+    return dict(json.loads(next((line for line in reversed(lines) if line.startswith("{")), "{}")))
 
 
 def memory(session: int) -> float:
@@ -158,7 +155,6 @@ def _end_with_parent() -> None:
 
 
 def main(argv: list[str]) -> None:
-    """Run one job and print what it found."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     name, arguments, launched = argv
     module, function = name.split(".")

@@ -16,8 +16,7 @@ CORES = min(2, machine.cores())
 NUMPY = "gymnasium/numpy"
 BATCHES = (1, 16, 256, 1024, 2048, 4096, 16_384, 32_768)
 WORLD_BATCH = 4096
-IN_SB3 = ("ppo", "dqn", "a2c")
-"""The algorithms that Stable-Baselines3 has too."""
+IN_SB3 = ("ppo", "dqn", "a2c")  # the algorithms that Stable-Baselines3 has too
 FAULTS = {"noise": 5.0, "lost": 0.1, "late": 2, "sticky": 0.1}
 TASKS: dict[str, Result] = {
     "drone": {},

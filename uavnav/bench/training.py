@@ -21,10 +21,8 @@ from uavnav.training.loop import make_collector, train
 from uavnav.training.loop import make_env as make_training_env
 
 SB3, SBX = "stable_baselines3", "sbx"
-WHOLE = 1_000_000
-"""Frames of a whole run."""
-WARM = 2
-"""Marks until the work is steady: everything is compiled."""
+WHOLE = 1_000_000  # frames of a whole run
+WARM = 2  # marks until the work is steady: everything is compiled
 
 
 class Clock:

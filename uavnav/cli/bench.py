@@ -17,8 +17,7 @@ from uavnav.bench.page import sections, write_sections
 from uavnav.bench.plan import plan
 from uavnav.files import check_out
 
-STOPS = (signal.SIGTERM, signal.SIGHUP)
-"""Signals that stop a run as Ctrl-C does."""
+STOPS = (signal.SIGTERM, signal.SIGHUP)  # signals that stop a run as Ctrl-C does
 
 
 def main(arguments: Namespace) -> int:

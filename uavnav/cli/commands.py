@@ -66,8 +66,7 @@ def run(name: str, words: Sequence[str], **how: Any) -> int:
             from uavnav import plugins  # brings torch
 
             plugins.load(names)
-        status: int = importlib.import_module(f"uavnav.cli.{name}").main(arguments, **how)
-        return status
+        return int(importlib.import_module(f"uavnav.cli.{name}").main(arguments, **how))
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except OneLineError as error:

@@ -24,8 +24,7 @@ from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
 from uavnav.tasks.table import TASKS, name_of
 from uavnav.tasks.task import Task
 
-MOST_SEEDS = 1_000
-"""Of a scripted policy."""
+MOST_SEEDS = 1_000  # of a scripted policy
 OF_ONE_SPLIT = {
     "faults": (None, "ladders and tasks of training have their own"),
     "shield": (False, "only on the layouts of one split"),

@@ -21,8 +21,7 @@ from uavnav.tasks.world import World
 from uavnav.views.browser import TITLES
 from uavnav.views.browser.playground import Opening
 
-ROWS = Path("runs/baselines/human.parquet")
-"""Where `uavnav report runs` finds what people flew."""
+ROWS = Path("runs/baselines/human.parquet")  # where `uavnav report runs` finds what people flew
 
 
 def main(arguments: Namespace) -> int:

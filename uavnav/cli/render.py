@@ -10,8 +10,9 @@ from uavnav.envs.drawing import STEPS_PER_SECOND
 from uavnav.errors import ConfigError
 from uavnav.files import check_out
 from uavnav.tasks.faults import NO_FAULTS, from_option
+from uavnav.tasks.layouts import load
 from uavnav.training import machine
-from uavnav.views.render import MOST_FLOWN, WIDTHS, Film, check_picture, fly, load_layout, load_pilots, save
+from uavnav.views.render import MOST_FLOWN, WIDTHS, Film, check_picture, fly, load_pilots, save
 
 
 def main(arguments: Namespace) -> int:
@@ -34,7 +35,9 @@ def main(arguments: Namespace) -> int:
         pilots = [
             one._replace(name=f"{told} {one.name}", task=replace(one.task, faults=faults)) for one in pilots
         ]
-    layouts = load_layout(arguments.layouts, arguments.layout, pilots)
+    layouts = load(arguments.layouts, pilots[0].task.world)
+    if not 0 <= arguments.layout < len(layouts):
+        raise ConfigError(f"--layout {arguments.layout}: choose from 0 to {len(layouts) - 1}")
     with machine.use_threads(1):
         flown = [fly(pilot, layouts, arguments.layout, arguments.steps) for pilot in pilots]
         film = Film(flown, layouts[arguments.layout], arguments.width, arguments.every)

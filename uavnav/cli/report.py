@@ -12,8 +12,7 @@ from uavnav.errors import complain
 from uavnav.report import Written, report
 from uavnav.runs.tables import RunError
 
-PAUSE = 5.0
-"""Seconds between two pages of `--watch`."""
+PAUSE = 5.0  # seconds between two pages of `--watch`
 
 
 def main(arguments: Namespace) -> int:

@@ -33,8 +33,7 @@ COLUMNS = ("run", "policy", "seeds", "frames", "status", "sampled", "greedy", "a
 """Of the table; `sampled` and `greedy` are rewards of a test episode."""
 OF_WORDS = ("run", "policy", "status")
 WATCH_SECONDS = 2.0
-WIDEST = 1_000
-"""Columns of what is no terminal."""
+WIDEST = 1_000  # columns of what is no terminal
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
 STATES = {FINISHED: "finished", "failed": "failed"}
 """By the status in meta.json; whatever else it says, a run that does not run was stopped."""

@@ -32,8 +32,7 @@ from uavnav.tasks.protocol import USUAL
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training.recorder import CHECKPOINT_SECONDS
 
-LINE_SECONDS = 30.0
-"""Between two lines of progress where there is no terminal."""
+LINE_SECONDS = 30.0  # between two lines of progress where there is no terminal
 
 
 class Keys(Settings):
@@ -74,8 +73,7 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
 def status(configuration: Configuration) -> dict[str, Any]:
     """What there is of a configuration: `state`, and the frames per seed of one that is under way."""
     out, config = configuration.out, configuration.config
-    facts: dict[str, Any] = {"configuration": str(out), "seeds": config.n_seeds, "frames": 0}
-    facts["of"] = config.frames
+    facts = {"configuration": str(out), "seeds": config.n_seeds, "frames": 0, "of": config.frames}
     if (out / "config.yaml").exists():
         try:
             check_folder(configuration)

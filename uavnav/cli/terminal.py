@@ -8,8 +8,7 @@ import signal
 import sys
 from types import FrameType, TracebackType
 
-UNREAD = 128 + 13
-"""The status of a command whose reader is gone, as of any program that SIGPIPE ends."""
+UNREAD = 128 + 13  # the status of a command whose reader is gone, as of any program that SIGPIPE ends
 
 
 def end_quietly(name: str) -> None:

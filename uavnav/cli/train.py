@@ -21,7 +21,7 @@ from uavnav import files, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.cli.help.render import render
-from uavnav.errors import ConfigError, OneLineError, complain, told, unknown, unknown_key
+from uavnav.errors import ConfigError, complain, told, unknown, unknown_key
 from uavnav.evaluation import MAX_STEPS, Protocol, evaluate_run, summary
 from uavnav.runs import Run
 from uavnav.runs.policies import Diverged, load_policies
@@ -32,13 +32,11 @@ from uavnav.tasks.world import World
 from uavnav.training.config import PARTS, TASK, TrainConfig, plain
 from uavnav.training.loggers import chosen, shown_by
 from uavnav.training.loop import Fit, alone, train
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder, free_folder
 from uavnav.views.browser.playground import shows
 
-MOST_CONFIGURATIONS = 1_000
-"""Runs of a sweep."""
-MOST_COMPARED = 4
-"""The newest runs of a sweep, in the command that compares them."""
+MOST_CONFIGURATIONS = 1_000  # runs of a sweep
+MOST_COMPARED = 4  # the newest runs of a sweep, in the command that compares them
 
 
 def _folder(value: Any) -> Any:
@@ -68,15 +66,7 @@ class Command(Settings):
         chosen(self.logger)
 
 
-class Unevaluated(OneLineError):
-    """A run's evaluation was stopped by Ctrl-C."""
-
-    status = 128 + signal.SIGINT
-
-
 class Order(NamedTuple):
-    """A run to train."""
-
     config: TrainConfig
     out: Path
     command: Command
@@ -252,7 +242,8 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
         try:
             rows = evaluate_run(finished, quiet=quiet)
         except KeyboardInterrupt:
-            raise Unevaluated(f"{out}: trained, not evaluated; the same command evaluates it") from None
+            told = f"{out}: trained, not evaluated; the same command evaluates it"
+            raise Interrupted(told, signal.SIGINT, finished.frames, wanted=False) from None
         if not quiet:
             summary.show(summary.of_evaluation(rows, finished))
             print(summary.verdict(rows, config))

@@ -20,8 +20,7 @@ from uavnav.tasks.wrapper import WrappedTask
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
 Colour = tuple[int, int, int]
-Ink = tuple[int, ...]
-"""Red, green, blue and maybe opacity."""
+Ink = tuple[int, ...]  # red, green, blue and maybe opacity
 Trail = tuple[Sequence[tuple[float, ...]], Ink]
 """Earlier positions (x, y) or (x, y, z) [px] and the colour of their line."""
 
@@ -29,8 +28,7 @@ Trail = tuple[Sequence[tuple[float, ...]], Ink]
 GROUND, BORDER, OBSTACLE, INK = (250, 250, 247), (84, 88, 96), (150, 156, 166), (32, 36, 44)
 DRONE, SENSOR, SENSED, GOAL = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0), (0, 158, 115)
 
-STEPS_PER_SECOND = 30
-"""The simulation's own rate."""
+STEPS_PER_SECOND = 30  # the simulation's own rate
 SMOOTHING = 2  # drawn so many times larger, then scaled down
 BETWEEN = 8  # the two views of a box [px]
 DOT = 4  # radius of a point that is sensed, in a box one more [px]
@@ -122,7 +120,6 @@ def draw_views(
 
 
 def height_of(width: int, world: World) -> int:
-    """Height of a picture of the arena [px]."""
     if isinstance(world, SpaceWorld):
         return round((width - BETWEEN) // 2 * max(world.size[1:]) / world.width)
     return round(width * world.height / world.width)

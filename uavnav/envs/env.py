@@ -34,8 +34,7 @@ LEAVES = ("observation", "reward", "done", "terminated", "truncated")
 N_LEAVES, N_COUNTS = len(LEAVES), 1 + len(COUNTS)
 
 
-MOST_ROWS = 10_000_000
-"""Of a batch."""
+MOST_ROWS = 10_000_000  # of a batch
 
 
 def _listed(name: str, value: Any) -> Sequence[Any]:

@@ -316,8 +316,12 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             final_observations = np.full(self.num_envs, None, dtype=object)
             for row in np.flatnonzero(ended):
                 final_observations[row] = observation[row].numpy()
-            info = {"final_obs": final_observations, "final_info": self._info(state, clearance, ended)}
-            info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
+            info = {
+                "final_obs": final_observations,
+                "final_info": self._info(state, clearance, ended),
+                "_final_obs": ended.copy(),
+                "_final_info": ended.copy(),
+            }
             fresh = self._start((state.layout + 1) % len(self.task.layouts))
             state = where(done, fresh, state)
             observation, clearance = self.task.observe(state)

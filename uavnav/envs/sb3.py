@@ -19,8 +19,7 @@ except ImportError as error:
     raise ImportError("uavnav.sb3 needs Stable-Baselines3: pip install 'uavnav[sb3]'") from error
 
 
-AROUND = ("obstacles", "velocities")
-"""Attributes of a `DroneVectorEnv` with an axis of its rows in front."""
+AROUND = ("obstacles", "velocities")  # attributes of a `DroneVectorEnv` with an axis of its rows in front
 
 
 class DroneVecEnv(VecEnv):  # type: ignore[misc]

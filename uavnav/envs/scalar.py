@@ -27,8 +27,7 @@ from uavnav.tasks.wrapper import WrappedTask
 
 COSINES, SINES = COSINE.tolist(), SINE.tolist()
 Observation = np.ndarray[tuple[int], np.dtype[np.float32]]
-Circles = Sequence[Sequence[float]]
-"""Of each: x, y, radius [px]."""
+Circles = Sequence[Sequence[float]]  # of each: x, y, radius [px]
 
 
 def fly(task: WrappedTask) -> Episode | BatchOfOne:
@@ -178,8 +177,6 @@ class BatchOfOne:
 
     def _keep(self, state: State, observation: Tensor, clearance: Tensor) -> Observation:
         self.state, self.clearance = state, float(clearance)
-        self.layout, self.heading = int(state.layout), int(state.heading)
-        self.x, self.y = float(state.x), float(state.y)
         return observation.numpy()
 
 

@@ -51,10 +51,8 @@ WATCHED_STEPS = 500
 BEHAVIOUR_COLUMNS = {"seed": "int64", "layout": "int64", "action": "int16"}
 """The steps of an episode follow each other. Where they lead, `uavnav.report.behaviour.retrace` works out."""
 
-HEADINGS = (0, 90, 180, 270)
-"""Start headings of a seed's episodes in the empty arena [degrees]."""
-EMPTY_ARENA = torch.empty(len(HEADINGS), 0, 3)
-"""As many layouts without an obstacle [4, 0, 3]."""
+HEADINGS = (0, 90, 180, 270)  # start headings of a seed's episodes in the empty arena [degrees]
+EMPTY_ARENA = torch.empty(len(HEADINGS), 0, 3)  # as many layouts without an obstacle [4, 0, 3]
 
 
 class Evaluation(NamedTuple):
@@ -240,13 +238,13 @@ def _table(parts: list[dict[str, Tensor]], who: pd.DataFrame, columns: dict[str,
     return table.assign(mode=own["mode"]).astype(columns)
 
 
-def in_empty_arena(modes: Mapping[str, Mapping[int, Policy]], steps: int = WATCHED_STEPS) -> pd.DataFrame:
-    """The actions of an episode for each policy and start heading, at most so many steps.
+def in_empty_arena(modes: Mapping[str, Mapping[int, Policy]]) -> pd.DataFrame:
+    """The first `WATCHED_STEPS` actions of an episode for each policy and start heading.
 
-    Columns seed, layout (counts `HEADINGS`), action, mode. Raises a ValueError where steps is below 1.
+    Columns seed, layout (counts `HEADINGS`), action, mode.
     """
     first = next(iter(next(iter(modes.values())).values()))
-    task = first.task.replace(layouts=EMPTY_ARENA, max_steps=steps)
+    task = first.task.replace(layouts=EMPTY_ARENA, max_steps=WATCHED_STEPS)
     return fly_modes(modes, task, heading=torch.tensor(HEADINGS)).behaviour
 
 

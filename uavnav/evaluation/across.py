@@ -32,8 +32,7 @@ from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import display, machine
 
-SKETCH = 20
-"""Episodes a rung below which an interval over episodes says little."""
+SKETCH = 20  # episodes a rung below which an interval over episodes says little
 RESAMPLES = 500
 
 
@@ -90,7 +89,6 @@ def of_policy(name: str, activation: str | None = None, seeds: int = 1) -> Flyer
 
 
 def of_run(name: str, run: Run) -> Flyer:
-    """A run with the policies of all its seeds."""
     return Flyer(name, by_mode(load_policies(run.path, run.seeds)), run)
 
 

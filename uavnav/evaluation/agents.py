@@ -22,8 +22,7 @@ from uavnav.networks import made_of, stacked
 from uavnav.runs.policies import Policy
 from uavnav.tasks.baselines import AnyPolicy
 
-Seeded = tuple[int, AnyPolicy]
-"""The seed of a policy's generator, and the policy."""
+Seeded = tuple[int, AnyPolicy]  # the seed of a policy's generator, and the policy
 
 INTEGERS = (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8)
 LEAST_ROWS = 16

@@ -24,8 +24,7 @@ from uavnav.tasks.task import Outcome
 from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import machine
 
-CHUNK = 256
-"""Episodes that one call of a compiled step moves at most."""
+CHUNK = 256  # episodes that one call of a compiled step moves at most
 
 
 class Transition(NamedTuple):

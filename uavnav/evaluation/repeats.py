@@ -16,8 +16,7 @@ from torch import Tensor
 from uavnav.evaluation.episodes import Transition
 from uavnav.tasks.state import COUNTS, State, at
 
-LONGEST = 512
-"""Steps of a round at most."""
+LONGEST = 512  # steps of a round at most
 
 
 class Repeats:

@@ -18,8 +18,7 @@ from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
 
-SEEDS = 10
-"""Of `protocol.DRAWS`, for an interval."""
+SEEDS = 10  # of `protocol.DRAWS`, for an interval
 REWARDS = {"drone": 428.13, "goal": 10.89, "moving": 14.73, "space": 368.36, "space-moving": -9.88}
 """What `reactive` earns in a test episode of each task, with the time limit of `runs.evaluations.usual`."""
 

@@ -28,10 +28,8 @@ from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.table import EMPTY, make_task, name_of
 from uavnav.tasks.wrapper import WrappedTask
 
-EVALUATED_IN = "evaluated_in"
-"""The column that names the task of an episode."""
-SPEEDS = ("speed_min", "speed_max")
-"""Fields of a world by which sensed velocities are scaled."""
+EVALUATED_IN = "evaluated_in"  # the column that names the task of an episode
+SPEEDS = ("speed_min", "speed_max")  # fields of a world by which sensed velocities are scaled
 
 
 class Place(NamedTuple):

@@ -23,8 +23,7 @@ from uavnav.training.config import TrainConfig
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted
 
-TIMING = ["frames_per_second"]
-"""Columns that two equal runs may differ in."""
+TIMING = ["frames_per_second"]  # columns that two equal runs may differ in
 
 
 class Verdict(NamedTuple):

@@ -58,16 +58,11 @@ PROGRESS = "progress.json"
 STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
 WORKERS = "workers"
-NO_RUNS = ("checkpoint", WORKERS, *LOG_FOLDERS)
-"""Folders without runs."""
-OF_REPORTS = ("baselines", "bench", "tables", "figures")
-"""Folders that a report reads or writes itself."""
-DEPTHS = ("*", "*/*", "*/*/*", "*/*/*/*")
-"""Where a folder of runs may have them."""
-SILENCE = 60.0
-"""Seconds after which a run that has written no progress no longer runs."""
-LONGEST_NAME = 80
-"""Of what differs from a preset, in a folder's name."""
+NO_RUNS = ("checkpoint", WORKERS, *LOG_FOLDERS)  # folders without runs
+OF_REPORTS = ("baselines", "bench", "tables", "figures")  # folders that a report reads or writes itself
+DEPTHS = ("*", "*/*", "*/*/*", "*/*/*/*")  # where a folder of runs may have them
+SILENCE = 60.0  # seconds after which a run that has written no progress no longer runs
+LONGEST_NAME = 80  # of what differs from a preset, in a folder's name
 MOST_SEEDS = 2**20
 """Of a run, and of a file of policies."""
 Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f/]+$", max_length=100)]

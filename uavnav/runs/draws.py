@@ -17,8 +17,7 @@ from uavnav.stats import Array
 
 SCREEN, NEAREST = "screen", "nearest"
 """Folders of a study: its draws, a number each, and those that are trained further."""
-DISTANCE = "distance"
-"""Column of `distances`: joint, of all configurations of a draw."""
+DISTANCE = "distance"  # column of `distances`: joint, of all configurations of a draw
 NOTHING = np.empty((0, len(paper.COLUMNS)))
 Seeds = Mapping[tuple[str, str], Array]
 """By algorithm and activation: the paper's metrics as Stable-Baselines3 logs them, [S, 6]."""

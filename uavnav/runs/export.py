@@ -31,8 +31,7 @@ from uavnav.tasks.world import VERSION
 
 SUFFIXES = (".onnx", ".pt2")
 NEEDED = ("onnx", "onnxscript")
-FACTS = "uavnav"
-"""The key, in the file's metadata, of what its values are."""
+FACTS = "uavnav"  # the key, in the file's metadata, of what its values are
 
 
 def export_policy(policy: Policy, path: str | Path) -> Path:
@@ -115,5 +114,4 @@ def _onnx(program: torch.export.ExportedProgram, facts: dict[str, Any]) -> bytes
     ):
         part.ClearField("metadata_props")  # paths and names of this package's classes
     model.metadata_props.add(key=FACTS, value=json.dumps(facts))
-    content: bytes = model.SerializeToString()
-    return content
+    return bytes(model.SerializeToString())

@@ -24,12 +24,9 @@ if TYPE_CHECKING:
 
     from uavnav.tasks.state import State  # brings torch
 
-SHARE = 10
-"""The newest frames are one of so many parts of a run."""
-MOST_TOLD = 1_000
-"""Seeds that are told of, at most, as the files of settings that contain them are small."""
-POINTS = 12
-"""Of a run's curve."""
+SHARE = 10  # the newest frames are one of so many parts of a run
+MOST_TOLD = 1_000  # seeds that are told of, at most, as the files of settings that contain them are small
+POINTS = 12  # of a run's curve
 BARS = "▁▂▃▄▅▆▇"
 Array = npt.NDArray[np.float64]
 
@@ -37,14 +34,12 @@ Array = npt.NDArray[np.float64]
 class Lately(files.Facts):
     """What the newest frames of a run say; all is empty before its first row of progress."""
 
-    rewards: list[float] = Field(default_factory=list)
-    """Each seed's reward per 1,000 frames."""
+    rewards: list[float] = Field(default_factory=list)  # each seed's reward per 1,000 frames
+    # each seed's share of environments in which no episode was terminated
     flying: list[float] = Field(default_factory=list)
-    """Each seed's share of environments in which no episode was terminated."""
-    lengths: list[float] = Field(default_factory=list)
-    """Each seed's mean steps so far of its open episodes."""
+    lengths: list[float] = Field(default_factory=list)  # each seed's mean steps so far of its open episodes
+    # reward per 1,000 frames, the mean over seeds, in each of the `POINTS` parts of the run so far
     curve: list[float] = Field(default_factory=list)
-    """Reward per 1,000 frames, the mean over seeds, in each of the `POINTS` parts of the run so far."""
 
 
 NOTHING = Lately()

@@ -72,6 +72,30 @@ METRICS: dict[str, Metric] = {
 """The report shows every metric of this table."""
 
 
+FULL_SPEED = 9.0  # px a step
+
+
+def collided(episodes: pd.DataFrame) -> pd.Series:
+    """Whether each episode ended at an obstacle; a goal ends an episode too."""
+    return episodes["terminated"] & (episodes.get("succeeded", 0) == 0)
+
+
+def spl(episodes: pd.DataFrame) -> pd.Series:
+    """Success weighted by path length (Anderson et al. 2018), an episode a row: success x shortest /
+    max(flown, shortest).
+    """
+    shortest = episodes["shortest"]
+    return episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)
+
+
+def barn(episodes: pd.DataFrame) -> pd.Series:
+    """The score of the BARN challenge (Xiao et al. 2022), an episode a row: success x optimal / steps, the
+    steps clipped to 4 to 8 times the optimal ones, which fly the shortest way at full speed. At most 0.25.
+    """
+    optimal = episodes["shortest"] / FULL_SPEED
+    return episodes["succeeded"] * optimal / episodes["steps"].clip(4 * optimal, 8 * optimal)
+
+
 class Own(NamedTuple):
     """A metric that only some tasks or layouts have: a sum over all episodes of a seed, per what it names."""
 
@@ -89,8 +113,8 @@ OWN: dict[str, Own] = {
     "success": Own("success [%]", ("succeeded",), lambda rows: 100 * rows["succeeded"]),
     "collision": Own("collision [%]", ("succeeded",), lambda rows: 100 * collided(rows)),
     "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"]),
-    "spl": Own("SPL", ("succeeded", "shortest"), lambda rows: spl(rows)),
-    "barn": Own("BARN's score", ("succeeded", "shortest", "danger"), lambda rows: barn(rows)),
+    "spl": Own("SPL", ("succeeded", "shortest"), spl),
+    "barn": Own("BARN's score", ("succeeded", "shortest", "danger"), barn),
     "danger": Own("time in danger [%]", ("danger",), lambda rows: 100 * rows["danger"], "steps"),
     "separation": Own("smallest separation [px]", ("separation",), lambda rows: rows["separation"]),
     "curvature": Own(
@@ -108,12 +132,6 @@ PER_EPISODE = {
 }
 """What episodes in any task are judged by, in words with its unit."""
 COLLISIONS_PER = 1000.0  # px
-FULL_SPEED = 9.0  # px a step
-
-
-def collided(episodes: pd.DataFrame) -> pd.Series:
-    """Whether each episode ended at an obstacle; a goal ends an episode too."""
-    return episodes["terminated"] & (episodes.get("succeeded", 0) == 0)
 
 
 def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
@@ -126,22 +144,6 @@ def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
         "survive": 100 * of_seeds["truncated"].mean(),
     }
     return pd.DataFrame(values).join(own(flown))
-
-
-def spl(episodes: pd.DataFrame) -> pd.Series:
-    """Success weighted by path length (Anderson et al. 2018), an episode a row: success x shortest /
-    max(flown, shortest).
-    """
-    shortest = episodes["shortest"]
-    return episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)
-
-
-def barn(episodes: pd.DataFrame) -> pd.Series:
-    """The score of the BARN challenge (Xiao et al. 2022), an episode a row: success x optimal / steps, the
-    steps clipped to 4 to 8 times the optimal ones, which fly the shortest way at full speed. At most 0.25.
-    """
-    optimal = episodes["shortest"] / FULL_SPEED
-    return episodes["succeeded"] * optimal / episodes["steps"].clip(4 * optimal, 8 * optimal)
 
 
 def own(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -37,10 +37,8 @@ from uavnav.tasks.wrapper import WrappedTask
 Actions = np.ndarray[Any, np.dtype[np.int64]]
 
 SB3_WEIGHTS, SB3_SETTINGS = "policy.pth", "data"
-SB3_MAX_BYTES = 2**26
-"""Of a zip's weights, unpacked: a network of 64-64 has a hundred thousand."""
-SB3_EPSILON = 0.05
-"""The final epsilon by default, Stable-Baselines3's and ours: a zip's weights do not tell."""
+SB3_MAX_BYTES = 2**26  # of a zip's weights, unpacked: a network of 64-64 has a hundred thousand
+SB3_EPSILON = 0.05  # the final epsilon by default, Stable-Baselines3's and ours: a zip's weights do not tell
 
 
 class PolicyError(OneLineError, ValueError):
@@ -341,8 +339,7 @@ def _check_sizes(path: Path, inputs: int, outputs: int, task: WrappedTask) -> No
 
 SB3_LAYERS = {"ppo": ("mlp_extractor.policy_net.", "action_net."), "dqn": ("q_net.q_net.", "")}
 """Where a zip keeps the hidden layers that choose actions, and the last one if it is apart."""
-SB3_DEFAULTS = {"ppo": "tanh", "dqn": "relu"}
-"""The activation of its MlpPolicy, where none is given."""
+SB3_DEFAULTS = {"ppo": "tanh", "dqn": "relu"}  # the activation of its MlpPolicy, where none is given
 SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
 """Networks that no action depends on."""
 

@@ -29,8 +29,7 @@ def shipped() -> dict[str, Path]:
 
 def chosen() -> dict[str, dict[str, Any]]:
     """What is known of each policy, by its name: see `CHOSEN`."""
-    found: dict[str, dict[str, Any]] = files.read_json(CHOSEN)
-    return found
+    return dict(files.read_json(CHOSEN))
 
 
 def rows() -> list[dict[str, Any]]:

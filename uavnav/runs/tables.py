@@ -23,10 +23,8 @@ from uavnav.runs.metrics import EPISODE_COLUMNS, LAST, in_order
 Columns = dict[str, np.ndarray[Any, Any]]
 
 LOCK = ".lock"
-UNFOLDED = 100
-"""Bytes that one of a large table's file stands for, at most."""
-CSV_BYTES = 2**22
-"""Of a table of text, at most."""
+UNFOLDED = 100  # bytes that one of a large table's file stands for, at most
+CSV_BYTES = 2**22  # of a table of text, at most
 MOST_COLUMNS = 1_000
 PLAIN = (
     *(pa.types.is_boolean, pa.types.is_integer, pa.types.is_floating, pa.types.is_null),

@@ -15,10 +15,8 @@ from uavnav.runs.tables import RunError, read_csv
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
 """What a study that tunes writes into: trials, which are no runs of their own, and winners by trial."""
-DEFAULT = "default"
-"""Settings of rows of a comparison, other than `TUNED`."""
-DIFFERENCE = "tuned − default"
-"""Settings of a row that compares the winner with the default."""
+DEFAULT = "default"  # settings of rows of a comparison, other than `TUNED`
+DIFFERENCE = "tuned − default"  # settings of a row that compares the winner with the default
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"
 COLUMNS = {
     "algorithm": "object",
@@ -28,11 +26,9 @@ COLUMNS = {
     "settings": "object",
 }
 OF_IMPORTANCE = {"algorithm": "object", "setting": "object", "importance": "float64"}
-MOST_TRIALS = 10**6
-"""Of an algorithm, at most."""
+MOST_TRIALS = 10**6  # of an algorithm, at most
 AGAIN = "carry the study out again"
-FINISHED, DIVERGED = "finished", "diverged"
-"""States of a trial that was told."""
+FINISHED, DIVERGED = "finished", "diverged"  # states of a trial that was told
 
 
 def best(trials: pd.DataFrame, algorithm: str) -> dict[str, Any] | None:

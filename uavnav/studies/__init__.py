@@ -55,14 +55,10 @@ HERE = Path(__file__).parent
 KEYS = ("what", "obstacles", "settings", "configurations", "scripted_folder", "scripted", "tune", "draw")
 OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
-LISTS = ("hidden", "keep_at")
-"""Settings whose value is a list."""
-MOST_CONFIGURATIONS = 10_000
-"""Of a study, its trials included."""
-MOST_OBSTACLES = 1_000
-"""Of a layout of a study's own splits."""
-FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"
-"""Of a value in a folder's name."""
+LISTS = ("hidden", "keep_at")  # settings whose value is a list
+MOST_CONFIGURATIONS = 10_000  # of a study, its trials included
+MOST_OBSTACLES = 1_000  # of a layout of a study's own splits
+FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"  # of a value in a folder's name
 PATH = 1_000
 """Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
 PROTOCOL = ("episodes", "max_steps", "layouts", "faults", "at", "shield")
@@ -74,14 +70,10 @@ class Configuration(NamedTuple):
 
     config: TrainConfig
     out: Path
-    evaluations: tuple[Protocol, ...] = ()
-    """How it is evaluated, first as the report shows it; nothing: not at all."""
-    across: tuple[str, ...] = ()
-    """Ladders that it flies too, with as many layouts and steps."""
-    measures: bool = False
-    """Whether the rows of its evaluations have the columns of `evaluation.measures` too."""
-    study: str = ""
-    """The name of its study, which its `meta.json` keeps."""
+    evaluations: tuple[Protocol, ...] = ()  # first as the report shows it; nothing: not at all
+    across: tuple[str, ...] = ()  # ladders that it flies too, with as many layouts and steps
+    measures: bool = False  # whether rows of its evaluations have those columns of `evaluation.measures` too
+    study: str = ""  # the name of its study, which its `meta.json` keeps
 
     @property
     def episodes(self) -> list[str]:
@@ -101,8 +93,7 @@ class Study(NamedTuple):
     scripted_folder: str | None = None
     draw: Mapping[str, Any] | None = None
     scripted: Sequence[str] = USUAL
-    given: Mapping[str, Any] = {}
-    """Settings of every run of the study, instead of those of the file."""
+    given: Mapping[str, Any] = {}  # settings of every run of the study, instead of those of the file
 
 
 def names() -> list[str]:
@@ -305,7 +296,6 @@ def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
 
 
 def _is_folder(name: str) -> bool:
-    """Whether a folder may have such a name."""
     if not name.isprintable() or len(name) > PATH:
         return False
     return all(len(part.encode()) <= 255 for part in name.split("/"))

@@ -36,8 +36,7 @@ class Plan(NamedTuple):
 
     study: Study
     out: Path
-    said: Mapping[str, Any]
-    """The file's `draw`."""
+    said: Mapping[str, Any]  # the file's `draw`
     draws: int
 
     def drawn(self) -> list[dict[str, Any]]:
@@ -51,12 +50,10 @@ class Plan(NamedTuple):
         return [first, *others]
 
     def screened(self) -> list[Configuration]:
-        """What is trained in every draw."""
-        entry = self.said["screen"]
         return [
             one
             for number, settings in enumerate(self.drawn())
-            for one in self._in_draw(entry, draws.SCREEN, number, settings, {})
+            for one in self._in_draw(self.said["screen"], draws.SCREEN, number, settings, {})
         ]
 
     def nearest(self) -> list[Configuration]:

@@ -36,30 +36,18 @@ from uavnav.training.recorder import STOPS, Interrupted, OtherRun, Recorder
 from uavnav.training.workers import Worker
 
 POLL_SECONDS = 1.0
-ATTEMPTS = 3
-"""How often a job is given again without having got any further."""
-QUEUE_SECONDS = 1800.0
-"""Given to a job to begin, unless its engine says that it is queued."""
-BEGIN_SECONDS = 600.0
-"""Given to a job, once it has begun, until its first heartbeat."""
-SILENT_SECONDS = 120.0
-"""Without a heartbeat, after which a job counts as dead."""
-IDLE_SECONDS = 3600.0
-"""Without any job that lives, after which a study ends, unless its engine says that jobs are queued."""
-STUCK_SECONDS = 4 * 3600.0
-"""Without a frame more, after which a job counts as dead although its heart beats."""
-EPISODE_SECONDS = 48 * 3600.0
-"""Given to an evaluation, whose heartbeat says no frames."""
-ANSWER_SECONDS = 120.0
-"""Given to an engine to answer a question."""
-CHECK_SECONDS = 24 * 3600.0
-"""Given to an engine to check its machines, which may wait in a queue."""
-SAY_SECONDS = 60.0
-"""Between two lines that say what a study waits for."""
+ATTEMPTS = 3  # how often a job is given again without having got any further
+QUEUE_SECONDS = 1800.0  # given to a job to begin, unless its engine says that it is queued
+BEGIN_SECONDS = 600.0  # given to a job, once it has begun, until its first heartbeat
+SILENT_SECONDS = 120.0  # without a heartbeat, after which a job counts as dead
+IDLE_SECONDS = 3600.0  # without a job that lives, after which a study ends, unless jobs are queued
+STUCK_SECONDS = 4 * 3600.0  # without a frame more, after which a job counts as dead although its heart beats
+EPISODE_SECONDS = 48 * 3600.0  # given to an evaluation, whose heartbeat says no frames
+ANSWER_SECONDS = 120.0  # given to an engine to answer a question
+CHECK_SECONDS = 24 * 3600.0  # given to an engine to check its machines, which may wait in a queue
+SAY_SECONDS = 60.0  # between two lines that say what a study waits for
 
-CHECK = "its machines are checked, which may wait in a queue"
-EPISODES = "flying"
-"""Begins the names of the files of an evaluation's job, in its configuration's folder."""
+EPISODES = "flying"  # begins the names of the files of an evaluation's job, in its configuration's folder
 
 Tell = Callable[[Sequence["Work"]], None]
 Say = Callable[[str], None]
@@ -143,10 +131,6 @@ class Job:
     def trains(self) -> bool:
         """Whether frames are missing, by its newest heartbeat; else it flies episodes."""
         return bool(self.told.get("frames", 0) < self.told.get("total", 0))
-
-    def last_words(self) -> dict[str, Any]:
-        """What it wrote when it ended; empty where it has not, or died."""
-        return workers.last_words(self.file("ended"))
 
 
 class Unanswered(RunError):
@@ -264,11 +248,8 @@ class Runner:
         self.per_worker = seeds_per_worker or engine.SEEDS_PER_WORKER
         self.policies = policies
         for configuration in configurations:
-            if configuration.config.n_seeds > MOST_SEEDS:
-                raise ConfigError(
-                    f"{configuration.out}: n_seeds={configuration.config.n_seeds}; give at most "
-                    f"{MOST_SEEDS:,}"
-                )
+            if (n := configuration.config.n_seeds) > MOST_SEEDS:
+                raise ConfigError(f"{configuration.out}: n_seeds={n}; give at most {MOST_SEEDS:,}")
         self.works = [Work(one) for one in configurations if not (self._trained(one) and evaluated(one))]
         for configuration in configurations:
             # the folder of a finished one, too, may contain another run
@@ -323,13 +304,10 @@ class Runner:
         return [work for work in self.works if work.problem]
 
     def _check_engine(self) -> None:
-        """Have the engine check its machines, which may wait in a queue and may be stopped there."""
-        asked(
-            self.engine,
-            lambda: self.engine.check(self.out),
-            CHECK_SECONDS,
-            lambda told: self.say(f"{told}: {CHECK}"),
-        )
+        """Have the engine check its machines; may be stopped meanwhile."""
+        why = "its machines are checked, which may wait in a queue"
+        check = functools.partial(self.engine.check, self.out)
+        asked(self.engine, check, CHECK_SECONDS, lambda told: self.say(f"{told}: {why}"))
 
     def _ask(self, question: Callable[[], Answer], unknown: Answer) -> Answer:
         """What the engine answers; `unknown` where it does not, until that has lasted for an hour."""
@@ -404,17 +382,14 @@ class Runner:
     def _over(self) -> list[Job]:
         """The jobs that have ended, by their engine's word or their files; and dead ones."""
         handles = [job.handle for job in self._running]
-        unknown = [False for _ in handles]
-        ended = (
-            self._ask(lambda: [self.engine.ended(handle) for handle in handles], unknown)
-            if handles
-            else unknown
-        )
+        ended = [False for _ in handles]
+        if handles:
+            ended = self._ask(lambda: [self.engine.ended(handle) for handle in handles], ended)
         look = time.monotonic() - self._looked >= heartbeat.SECONDS
         return [
             job
             for job, told in zip(self._running, ended, strict=True)
-            if told or (look and (job.last_words() or self._dead(job)))
+            if told or (look and (workers.last_words(job.file("ended")) or self._dead(job)))
         ]
 
     def _dead(self, job: Job) -> bool:
@@ -465,7 +440,7 @@ class Runner:
 
     def _ended(self, job: Job) -> None:
         """See how a job ended: go on with its configuration, give it again, or note what is wrong."""
-        said = job.last_words()
+        said = workers.last_words(job.file("ended"))
         if job.worker is None:
             self._flown(job, said)
         elif "finished" in said:

@@ -28,8 +28,7 @@ from uavnav.studies import Configuration, Study
 
 KEYS = {"trials": int, "at_once": int, "settings": dict, "ranges": dict, "space": dict}
 
-MOST_VALUES = 1_000
-"""Of a range that is a list."""
+MOST_VALUES = 1_000  # of a range that is a list
 Settings = dict[str, Any]
 
 
@@ -38,8 +37,7 @@ class Plan(NamedTuple):
 
     study: Study
     out: Path
-    said: Mapping[str, Any]
-    """The file's `tune`."""
+    said: Mapping[str, Any]  # the file's `tune`
     trials: int
 
     @property

@@ -27,10 +27,8 @@ from uavnav.studies.run import Work
 from uavnav.studies.search import Plan
 
 JOURNAL = "journal.jsonl"
-JOURNAL_BYTES = 2**26
-"""Of the journal, at most: a trial has some hundreds."""
-PLAN = "plan"
-"""An attribute of Optuna's studies: what their trials have in common."""
+JOURNAL_BYTES = 2**26  # of the journal, at most: a trial has some hundreds
+PLAN = "plan"  # an attribute of Optuna's studies: what their trials have in common
 
 
 Train = Callable[[Sequence[Configuration]], list[Work]]

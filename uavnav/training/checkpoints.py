@@ -34,14 +34,12 @@ from uavnav.tasks import tensors
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer
 
-KEPT = 2
-"""States that are kept: the newest, and the one before in case that the newest is damaged."""
+KEPT = 2  # states that are kept: the newest, and the one before in case that the newest is damaged
 
 CHUNK_BYTES = 8 * 2**20
 """Of the replay buffer in one file, at most: what is written is copied twice on its way."""
 
-Nested = Mapping[str, Any]
-"""Tensors and further such mappings by name."""
+Nested = Mapping[str, Any]  # tensors and further such mappings by name
 
 
 class Stateful(Protocol):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ import torch
 from pydantic import AfterValidator, BeforeValidator, SerializeAsAny, model_validator
 from torch import nn
 
+from uavnav import files
 from uavnav.errors import ConfigError, among, telling_line, told, unknown
 from uavnav.networks import ACTIVATIONS, Init, mlp
 from uavnav.runs import default_folder
@@ -42,15 +42,11 @@ TASK = "drone"
 """The task of a run that names none."""
 STEP_BYTES = 60
 """Of a step of an iteration besides its two observations: an episode's counts, action, reward and flags."""
-SEED_BYTES = 80_000
-"""The order in which a seed takes the layouts of the split `train`."""
-ROW_COLUMNS = 5
-"""Numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's."""
-ROW_BYTES = 600
-"""What the rows of all seeds take besides their numbers, as one mapping of arrays."""
+SEED_BYTES = 80_000  # the order in which a seed takes the layouts of the split `train`
+ROW_COLUMNS = 5  # numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's
+ROW_BYTES = 600  # what the rows of all seeds take besides their numbers, as one mapping of arrays
 PARTS = ("world", "faults")
 """The fields that are settings of their own, whose fields a command line sets as `world.sensor_arc`."""
-DOTTED = tuple(f"{name}." for name in PARTS)
 MOST_LAYERS = 100
 
 Compile = Annotated[
@@ -154,7 +150,7 @@ class TrainConfig(Settings):
         if not isinstance(mapping, Mapping):
             raise ConfigError(f"{told(mapping)}: is no mapping; give keys and values")
         given = {told(name): value for name, value in mapping.items()}
-        for name in [name for name in given if name.startswith(DOTTED)]:
+        for name in [name for name in given if "." in name and name.partition(".")[0] in PARTS]:
             whole, _, field = name.partition(".")
             own = given.get(whole) or {}
             if isinstance(own, Settings):
@@ -246,9 +242,8 @@ class TrainConfig(Settings):
         """Raise a ConfigError where something takes more bytes than there are; instead: what to give."""
         if self.device != "cpu":
             return
-        available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if needed > available:
-            taken = f"at least {needed / 2**30:,.1f} GiB of the machine's {available / 2**30:.1f}"
+        if needed > files.MEMORY_BYTES:
+            taken = f"at least {needed / 2**30:,.1f} GiB of the machine's {files.MEMORY_BYTES / 2**30:.1f}"
             raise ConfigError(f"{what} would take {taken}; give {instead}")
 
     @property

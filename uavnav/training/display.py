@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -17,13 +17,14 @@ from rich.progress import BarColumn, Progress, TextColumn
 from uavnav.runs.lately import Lately, line, span
 from uavnav.training.config import TrainConfig
 
+if TYPE_CHECKING:
+    from uavnav.training.recorder import Recorder
+
 Tell = Callable[[int, list[float]], None]
 """Is told the frames per seed so far, and each seed's reward per 1,000 frames (`uavnav.runs.lately`)."""
-Update = Callable[[int, Lately], None]
-"""Is told the frames per seed so far, and what the seeds do."""
+Update = Callable[[int, Lately], None]  # is told the frames per seed so far, and what the seeds do
 
-RATE_SECONDS = 5.0
-"""Of learning, after which a run that no terminal shows says how long it still takes."""
+RATE_SECONDS = 5.0  # of learning, after which a run that no terminal shows says how long it still takes
 
 
 class Display:
@@ -52,15 +53,11 @@ class Display:
             self._progress.live.transient = True
             self._progress.live.stop()
 
-    def begin(self, path: Path, facts: Mapping[str, Any], until: int | None = None, done: int = 0) -> None:
-        """Say, before the first frame, what the run does and how.
-
-        path: of its folder; facts: what its meta.json says of `compiled`, `processes` and `threads`; until:
-            stop there; done: frames per seed that a snapshot has behind it.
-        """
+    def begin(self, recorder: Recorder, done: int) -> None:
+        """Say, before the first frame, what the run does and how; done: frames per seed of its snapshot."""
         if not self._quiet:
-            frames = min(self._config.frames, until or self._config.frames)
-            for line in opening(self._config, frames, path, facts, done):
+            frames = min(self._config.frames, recorder.until or self._config.frames)
+            for line in opening(self._config, frames, recorder.path, recorder.meta, done):
                 self._say(line)
 
     def update(self, frames: int, lately: Lately) -> None:
@@ -108,7 +105,11 @@ def episodes(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator
 def opening(
     config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any], done: int
 ) -> Iterator[str]:
-    """What a run does and where it goes, how, and from where it goes on. Arguments as of `Display.begin`."""
+    """What a run does and where it goes, how, and from where it goes on.
+
+    frames: per seed, until it stops; facts: what its meta.json says of `compiled`, `processes` and `threads`;
+    done: as of `Display.begin`.
+    """
     first, last = config.seeds[0], config.seeds[-1]
     seeds, each = (
         (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")

@@ -12,10 +12,8 @@ from uavnav import files
 from uavnav.runs import PROGRESS, STOP
 from uavnav.runs.lately import NOTHING, Lately
 
-SECONDS = 5.0
-"""The time between two beats."""
-WATCHED_SECONDS = 0.5
-"""The same of a worker that another process of this machine watches."""
+SECONDS = 5.0  # the time between two beats
+WATCHED_SECONDS = 0.5  # the same of a worker that another process of this machine watches
 
 
 class Heartbeat:

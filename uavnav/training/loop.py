@@ -29,8 +29,7 @@ from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
 
-Row = Mapping[str, Tensor | float]
-"""What an algorithm says in a row of progress: [A], or one number for all."""
+Row = Mapping[str, Tensor | float]  # what an algorithm says in a row of progress: [A], or one number for all
 
 
 Fit = Callable[[Recorder, bool, Tell | None], Run]
@@ -41,10 +40,8 @@ class Trainee(Protocol):
     """What the loop needs of an algorithm: all seeds' agents, A of them, in W environments each."""
 
     actor: Actor
-    parts: Mapping[str, Stateful]
-    """What a snapshot must contain besides the environment and the actor."""
-    replay: ReplayBuffer | None
-    """A buffer whose rows a snapshot must contain too."""
+    parts: Mapping[str, Stateful]  # what a snapshot must contain besides the environment and the actor
+    replay: ReplayBuffer | None  # a buffer whose rows a snapshot must contain too
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
         """The algorithm: learn from the newest steps [A, W, T], after so many frames per seed."""
@@ -67,12 +64,7 @@ def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> 
 
 
 class Session:
-    """A run that this process trains: its batches, rows of progress, snapshots and folder.
-
-    Attributes:
-        config: of the run.
-        compile: whether its steps are compiled.
-    """
+    """A run that this process trains: its batches, rows of progress, snapshots and folder."""
 
     def __init__(self, recorder: Recorder, quiet: bool, tell: Tell | None) -> None:
         self.recorder, self.config = recorder, recorder.config
@@ -88,15 +80,7 @@ class Session:
         parts: Mapping[str, Stateful],
         replay: ReplayBuffer | None = None,
     ) -> Iterator[None]:
-        """Begin or go on with the run: from here on, its folder exists.
-
-        Args:
-            env: where the actor acts.
-            actor: of all seeds.
-            networks: what the policy file keeps; `policy` is the one that acts.
-            parts: what else a snapshot must contain.
-            replay: a buffer whose rows a snapshot must contain too.
-        """
+        """Begin or go on with the run: from here on, its folder exists. Arguments as of `Trainee`."""
         weights.check(networks, self.config)
         machine.keep_memory_flat(max(one.nbytes for net in networks.values() for one in net.parameters()))
         self.env, self.actor, self.networks, self.replay = env, actor, networks, replay
@@ -105,7 +89,7 @@ class Session:
         with self.recorder, self.display, machine.little_garbage():
             self.recorder.note(compiled=self.compile)
             self.frames = self._logged = self.recorder.resume(self.parts, replay)
-            self.display.begin(self.recorder.path, self.recorder.meta, self.recorder.until, self.frames)
+            self.display.begin(self.recorder, self.frames)
             yield
 
     def batches(self) -> Iterator[tuple[int, TensorDictBase]]:
@@ -210,12 +194,12 @@ def train(
 
 
 def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run:
-    """Train the seeds in n workers."""
     config = recorder.config
     compile = recorder.repeat(machine.decide(config))
     with recorder, Display(config, quiet, tell) as display:
         recorder.note(compiled=compile, processes=n)
-        display.begin(recorder.path, recorder.meta, recorder.until, workers.saved(recorder, n))
+        done = min(worker.saved() for worker in workers.split(config, recorder.path, n))
+        display.begin(recorder, done)
         return workers.train(recorder, n, machine.threads(config, n), display.update)
 
 
@@ -232,7 +216,6 @@ class Rollouts(Collector):  # type: ignore[misc]
     """
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """The next steps [A, W, T], batch after batch."""
         if not self.env.compiled or type(self.policy) is not Actor:
             yield from super().iterator()
         while True:

@@ -22,20 +22,15 @@ from uavnav.training.config import TrainConfig
 
 Result = TypeVar("Result")
 
-MAPPED_FROM = 2**20
-"""Bytes from which glibc gives a block pages of its own."""
-MAPPED_AT_MOST = 2**25
-"""The largest such number that glibc takes."""
-KEPT = 2**28
-"""Bytes that glibc keeps at the end of its heap, where blocks of weights come and go."""
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""As malloc.h calls them."""
+MAPPED_FROM = 2**20  # bytes from which glibc gives a block pages of its own
+MAPPED_AT_MOST = 2**25  # the largest such number that glibc takes
+KEPT = 2**28  # bytes that glibc keeps at the end of its heap, where blocks of weights come and go
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as malloc.h calls them
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
 EPISODES_PAY_FROM = 2_000
 """Steps that an episode may last from which the compilation of the world's step is paid back."""
-MANY = 10_000_000
-"""Steps of all episodes, if none ended, from which the first step is compiled already."""
+MANY = 10_000_000  # steps of all episodes, if none ended, from which the first step is compiled already
 EAGER_STEPS = 1_024
 """Of an evaluation, before its step is compiled: most episodes have ended by then, and often all of them."""
 EAGER = "runs without compilation, several times slower"
@@ -89,7 +84,6 @@ def own_parts(config: TrainConfig) -> str:
 
 
 def cores() -> int:
-    """How many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

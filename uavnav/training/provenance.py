@@ -36,7 +36,6 @@ def git_commit(digits: int = 40) -> str | None:
 
 
 def processor() -> str:
-    """The name of the machine's processor, as far as the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -54,20 +54,16 @@ from uavnav.training.heartbeat import Heartbeat
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer
 
-Log = Callable[[Columns], None]
-"""Is told rows of progress with a column more: `reward`, as of `with_reward`."""
+Log = Callable[[Columns], None]  # is told rows of progress with a column more: `reward`, as of `with_reward`
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
 HEARD = b"\nstopping: the run is saved after this iteration; a second Ctrl-C ends it at once, unsaved\n"
 """Said on a terminal at the first of them."""
-SNAPSHOT_FORMAT = 8
-"""Raised when what a snapshot contains of a learner changes."""
-CHECKPOINT_SECONDS = 60.0
-"""The time between two snapshots."""
+SNAPSHOT_FORMAT = 8  # raised when what a snapshot contains of a learner changes
+CHECKPOINT_SECONDS = 60.0  # the time between two snapshots
 CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
-UNFINISHED = ("checkpoint", WORKERS)
-"""Folders of a run that is not finished."""
+UNFINISHED = ("checkpoint", WORKERS)  # folders of a run that is not finished
 LAYOUT_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 
 
@@ -121,10 +117,7 @@ class Recorder:
 
     Args:
         path: the run's folder.
-        config: of the run.
-        overwrite: start anew where the folder contains a run.
-        checkpoint_seconds: the least time between two snapshots.
-        until: stop after so many frames per seed, as if by a signal.
+        config, overwrite, checkpoint_seconds, until: as of `uavnav.training.loop.train`.
         log: is told every row of progress, first those of the snapshot from which the run goes on.
         watched: whether another process watches the run as a worker of its own (see `Heartbeat`).
 
@@ -152,14 +145,15 @@ class Recorder:
         self.meta = provenance.facts() | {"layouts": {name: all_layouts.get(name) for name in LAYOUT_FACTS}}
         self._lock = FileLock(self.path / LOCK)
         self._described = {"algorithm": config.algorithm, **plain(config)}
+        noted = self.meta.get("plugins", {})
         identity = {
             **self._described,
             **{f"version of {name}": v for name, v in self.meta["versions"].items()},
+            "layouts": self.meta["layouts"]["sha256"],  # whatever path leads to it
+            "format": SNAPSHOT_FORMAT,
+            "plugins": sorted(noted),
+            **{f"version of {name}.py": sha[:12] for name, sha in noted.items()},
         }
-        identity["layouts"] = self.meta["layouts"]["sha256"]  # whatever path leads to it
-        noted = self.meta.get("plugins", {})
-        identity |= {"format": SNAPSHOT_FORMAT, "plugins": sorted(noted)}
-        identity |= {f"version of {name}.py": sha[:12] for name, sha in noted.items()}
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         try:
             self.finished = self._check_folder()
@@ -280,9 +274,8 @@ class Recorder:
             signal.signal(number, handler)
         gone = self.heartbeat.gone  # what is there now is another run's
         if kind is not None and self.meta.get("status") != FINISHED and not gone:
-            self.meta |= {
-                "status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"
-            }
+            stopped = issubclass(kind, (Interrupted, KeyboardInterrupt))
+            self.meta["status"] = "interrupted" if stopped else "failed"
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
         self.heartbeat.__exit__(kind, *error)
@@ -402,9 +395,12 @@ class Recorder:
         state: dict[str, Any] = {"parts": {name: part.state_dict() for name, part in parts.items()}}
         for table, columns in joined.items():
             state[table] = {name: torch.from_numpy(values) for name, values in columns.items()}
-        columns_of = {table: list(columns) for table, columns in joined.items()}
-        facts = {"frames": frames, "wall_seconds": now - self._began, "columns": columns_of}
-        facts["curve"] = self.heartbeat.lately.curve
+        facts = {
+            "frames": frames,
+            "wall_seconds": now - self._began,
+            "columns": {table: list(columns) for table, columns in joined.items()},
+            "curve": self.heartbeat.lately.curve,
+        }
         try:
             self._checkpoints.save(frames, state, facts, replay)
         except OSError as error:
@@ -513,12 +509,8 @@ class Recorder:
             row[name] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.full(n, value)
         self._tables["progress"].append(row)
         if self.log is not None:
-            self.log(
-                {
-                    **row,
-                    "reward": np.array([np.mean(recent) if recent else np.nan for recent in self._recent]),
-                }
-            )
+            reward = np.array([np.mean(recent) if recent else np.nan for recent in self._recent])
+            self.log({**row, "reward": reward})
 
     def look(self, state: State, frames: int) -> Lately:
         """What the seeds do after so many frames per seed, also told in the folder; state: of now."""

@@ -19,12 +19,9 @@ from torch import Tensor, nn
 
 from uavnav.graph import Loop
 
-BETA1, BETA2 = 0.9, 0.999
-"""Adam's, as everywhere."""
-ALPHA = 0.99
-"""RMSprop's, PyTorch's and Stable-Baselines3's default."""
-AHEAD = 1_024
-"""Steps whose rates are worked out at once."""
+BETA1, BETA2 = 0.9, 0.999  # Adam's, as everywhere
+ALPHA = 0.99  # RMSprop's, PyTorch's and Stable-Baselines3's default
+AHEAD = 1_024  # steps whose rates are worked out at once
 LARGE = 2**20
 """Bytes of an agent's weights, moments and targets, from which agents learn in turn on a CPU.
 
@@ -60,7 +57,6 @@ class Adam(NamedTuple):
     def step(
         self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase
     ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
-        """The parameters and moments after a step."""
         lr, eps = rate.unbind()
         first = moments["first"].apply(lambda m, g: torch.lerp(m, g, 1 - BETA1), gradient)
         second = moments["second"].apply(lambda v, g: v * BETA2 + (1 - BETA2) * g * g, gradient)
@@ -83,7 +79,6 @@ class RMSprop(NamedTuple):
     def step(
         self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase
     ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
-        """The parameters and moments after a step."""
         square = moments["square"].apply(lambda v, g: v * ALPHA + (1 - ALPHA) * g * g, gradient)
         params = params.apply(
             lambda value, g, v: value - rate[0] * g / (v.sqrt() + self.eps), gradient, square

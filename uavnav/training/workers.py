@@ -39,30 +39,19 @@ from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Update
 from uavnav.training.recorder import Interrupted, Log, Recorder
 
-SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
-NOT_SAVED = "{}: not saved, its process ended before it could be; the same command begins these seeds anew"
-UNWRITTEN = "{}: cannot be written; make room there, and the same command goes on from the last snapshot"
 POLL_SECONDS = 0.2
-STOP_SECONDS = 60.0
-"""Given to workers to save themselves."""
-END_SECONDS = 10.0
-"""Given to processes to end after SIGTERM."""
-COMMAND = "from uavnav.cli.worker import main; main(sys.argv[1:])"
+STOP_SECONDS = 60.0  # given to workers to save themselves
+END_SECONDS = 10.0  # given to processes to end after SIGTERM
 
 Process = subprocess.Popen[bytes]
 
 
 @dataclass
 class Worker:
-    """Some seeds of a run, which a process of their own trains.
+    """Some seeds of a run, which a process of their own trains."""
 
-    Args:
-        folder: theirs, by the name that it was given last.
-        config: the run's, with only these seeds.
-    """
-
-    folder: Path
-    config: TrainConfig
+    folder: Path  # theirs, by the name that it was given last
+    config: TrainConfig  # the run's, with only these seeds
     frames: int = 0  # per seed so far
     rate: float = 0.0  # frames a second of each seed, while it runs
     lately: Lately = NOTHING
@@ -83,24 +72,16 @@ class Worker:
             self.folder = self.folder.rename(taken)
         else:
             self.folder.mkdir(parents=True)
-        of_before = [
-            *(self.folder / name for name in (LOCK, STOP, PROGRESS)),
-            self.file("ended"),
-            self.file("log"),
-        ]
-        for left in of_before:
-            left.unlink(missing_ok=True)
+        for name in (LOCK, STOP, PROGRESS):
+            (self.folder / name).unlink(missing_ok=True)
+        for end in ("ended", "log"):
+            self.file(end).unlink(missing_ok=True)
 
     def prepare(self, threads: int, evaluation: dict[str, Any] | None = None, **how: Any) -> list[str]:
-        """Take its folder and describe its work there.
+        """Take its folder, and describe its work there; returns the words of `uavnav.cli.worker`.
 
-        Args:
-            threads: of its process.
-            evaluation: how it is evaluated in the end, if it is.
-            how: further arguments of its `Recorder`.
-
-        Returns:
-            What the command line of `uavnav.cli.worker` says.
+        threads: of its process; evaluation: how it is evaluated in the end, if it is; how: further arguments
+        of its `Recorder`.
         """
         try:
             self.take()
@@ -110,8 +91,10 @@ class Worker:
             "out": str(self.folder),
             "folder": str(Path.cwd()),
             "config": plain(self.config),
+            "threads": threads,
+            "evaluation": evaluation,
+            "how": how,
         }
-        told |= {"threads": threads, "evaluation": evaluation, "how": how}
         write(self.file("job"), json.dumps(told).encode())
         kind = type(self.config)
         return [*plugins.LOADED, f"{kind.__module__}:{kind.__name__}", str(self.file("job"))]
@@ -127,14 +110,9 @@ class Worker:
 
     def problem(self, status: int | None) -> str:
         """What its process said was wrong; status: of the process, if it has ended."""
-        return str(
-            self.last_words().get("error", UNWRITTEN.format(self.folder) if status == os.EX_IOERR else "")
-        )
-
-    @property
-    def finished(self) -> bool:
-        """Whether its folder contains its finished run."""
-        return Recorder(self.folder, self.config).finished
+        unwritten = "cannot be written; make room there, and the same command goes on from the last snapshot"
+        usual = f"{self.folder}: {unwritten}" if status == os.EX_IOERR else ""
+        return str(self.last_words().get("error", usual))
 
     def saved(self) -> int:
         """The frames per seed behind its newest snapshot, or all where it has finished; 0: none is saved."""
@@ -199,8 +177,10 @@ def train(recorder: Recorder, n: int, threads: int, tell: Update) -> Run:
     saved = [worker.saved() for worker in workers]
     if not all(saved):
         folder = workers[saved.index(0)].folder
-        raise Interrupted(NOT_SAVED.format(folder), recorder.stop or signal.SIGTERM, 0, wanted=False)
-    if not all(worker.finished for worker in workers):  # all frames may be saved and no run written
+        again = "its process ended before it could be; the same command begins these seeds anew"
+        raise Interrupted(f"{folder}: not saved, {again}", recorder.stop or signal.SIGTERM, 0, wanted=False)
+    # all frames may be saved and no run written
+    if not all(Recorder(worker.folder, worker.config).finished for worker in workers):
         frames, wanted = min(saved), recorder.stop is None
         raise recorder.interrupted(frames, wanted and frames >= (recorder.until or math.inf))
     _log(recorder.log, workers)
@@ -209,17 +189,9 @@ def train(recorder: Recorder, n: int, threads: int, tell: Update) -> Run:
     return run
 
 
-def saved(recorder: Recorder, n: int) -> int:
-    """The frames per seed from which all of a run's n workers go on."""
-    return min(worker.saved() for worker in split(recorder.config, recorder.path, n))
-
-
 def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Process], tell: Update) -> str:
     """Wait until all workers have ended, or all shall stop: because of a signal, or as one of them ended too
-    early.
-
-    Returns:
-        What is wrong with the one that ended too early, if anything is.
+    early. Returns what is wrong with that one, if anything is.
     """
     running = list(zip(workers, processes, strict=True))
     goal = min(recorder.until or math.inf, recorder.config.frames)
@@ -232,7 +204,9 @@ def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Pr
             if status is not None or words:
                 running.remove((worker, process))
                 if worker.saved() < goal:
-                    return worker.problem(status) or ("" if words else SILENT.format(worker.folder))
+                    goes_on = "the same command goes on from the last snapshot"
+                    silent = f"{worker.folder}: its process ended without a word; {goes_on}"
+                    return worker.problem(status) or ("" if words else silent)
         lately = all_seeds([worker.lately for worker in workers])
         now = min(worker.frames for worker in workers), lately
         recorder.heartbeat.lately = lately
@@ -255,7 +229,7 @@ def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Ite
         "until": recorder.until,
         "watched": True,
     }
-    begin = f"import sys; sys.path[:] = {sys.path!r}; {COMMAND}"
+    begin = f"import sys; sys.path[:] = {sys.path!r}; from uavnav.cli.worker import main; main(sys.argv[1:])"
     seconds = STOP_SECONDS
     try:
         for worker in workers:
@@ -308,20 +282,15 @@ def _log(log: Log | None, workers: Sequence[Worker]) -> None:
 
 
 def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, pd.DataFrame]]:
-    """The newest snapshot of an unfinished run, of all its workers: frames per seed, rows of episodes and of
-    progress.
-
-    Raises:
-        RunError: there is none.
-    """
+    """`Recorder.snapshot_tables` of an unfinished run, of all its workers."""
     recorder = Recorder(folder, config)
     n = recorder.processes(1)
     if n == 1:
         return recorder.snapshot_tables()
     found = [Recorder(worker.folder, worker.config).snapshot_tables() for worker in split(config, folder, n)]
-    put = {"episodes": _in_order, "progress": _by_frame}
-    tables = {name: together([tables[name] for _, tables in found]) for name, together in put.items()}
-    return min(frames for frames, _ in found), tables
+    episodes = _in_order([tables["episodes"] for _, tables in found])
+    progress = _by_frame([tables["progress"] for _, tables in found])
+    return min(frames for frames, _ in found), {"episodes": episodes, "progress": progress}
 
 
 def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:

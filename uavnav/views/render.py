@@ -114,14 +114,6 @@ def load_pilots(
     return [one._replace(policy=suited(one.policy, one.task)) for one in placed]
 
 
-def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tensor:
-    """A layout file [n, k, 3] px of the pilots' world, in which there is a layout of that index."""
-    all_layouts = splits.load(layouts, pilots[0].task.world if pilots else None)
-    if not 0 <= layout < len(all_layouts):
-        raise ValueError(f"--layout {layout}: choose from 0 to {len(all_layouts) - 1}")
-    return all_layouts
-
-
 def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:
     """One episode of a policy on one layout: the very episode that an evaluation of 200 layouts counts.
 

@@ -47,8 +47,7 @@ from uavnav.training import machine
 from uavnav.views import browser
 
 TITLES = browser.TITLES | browser.IN_3D
-LEVELS = 64
-"""So many different colours has an action's value."""
+LEVELS = 64  # so many different colours has an action's value
 
 
 class Trained(NamedTuple):

@@ -79,8 +79,7 @@ class Probe:
     So a folder of the same path on the machine's own disk, or one that it may not write to, does not pass.
     """
 
-    SECONDS: ClassVar[float] = 60.0
-    """The time in which what one machine writes is seen by another."""
+    SECONDS: ClassVar[float] = 60.0  # the time in which what one machine writes is seen by another
     PATIENCE: ClassVar[float] = 3600.0
     """The time in which a machine answers, unless its engine says that the question is queued."""
 

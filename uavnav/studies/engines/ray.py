@@ -23,13 +23,10 @@ from typing import Any, ClassVar
 from uavnav.errors import ConfigError
 from uavnav.studies import engines
 
-SECONDS = 60.0
-"""Given to a machine to answer."""
+SECONDS = 60.0  # given to a machine to answer
 KNOCK_SECONDS = 5.0
-LOOK_SECONDS = 0.5
-"""Between two looks which machines live."""
-KNOCKS = 3
-"""How often the head of the cluster may fail to answer."""
+LOOK_SECONDS = 0.5  # between two looks which machines live
+KNOCKS = 3  # how often the head of the cluster may fail to answer
 
 
 @dataclass

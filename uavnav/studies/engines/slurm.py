@@ -15,8 +15,7 @@ from uavnav.errors import ConfigError
 from uavnav.settings import Count
 from uavnav.studies import engines
 
-SACCT_SECONDS = 30
-"""The time between two questions to SLURM."""
+SACCT_SECONDS = 30  # the time between two questions to SLURM
 FREE = ["sinfo", "--noheader", "--Node", "--states=idle,mixed", "--format=%N %P"]
 """Lists the machines that take a job at once, with their partitions; a star marks the cluster's own."""
 QUEUED = ("PENDING", "REQUEUE", "CONFIGURING", "RESV_DEL_HOLD", "SPECIAL_EXIT", "SUSPENDED", "STOPPED")

@@ -19,8 +19,7 @@ HERE = Path(__file__).parent
 WORLD = (HERE / "world.js", HERE / "layouts.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
 
-PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")
-"""What a page with recorded episodes needs."""
+PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")  # what a page with recorded episodes needs
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}

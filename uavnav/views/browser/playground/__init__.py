@@ -44,20 +44,13 @@ HERE = Path(__file__).parent
 PARTS = ("policies", "scripted", "link", "race", "stage", "panel", "keep", "keys", "playground")
 SCRIPTS = tuple(HERE / f"{name}.js" for name in PARTS)
 """After those of `uavnav.views.browser`, in the order in which a browser reads them."""
-OWN = Path("runs")
-"""Where runs are looked for if none is named."""
-SEEDS = 3
-"""Of each run, the lowest, if there is room."""
-MOST = 36
-"""Networks on a page: a network of 64-64 takes 67 kB, and a page shall stay below 3 MB."""
-DRONES = 4
-"""In a race."""
-ALL_SPLITS = ("test", "validation", "train")
-"""Of each of them a page contains the first `EPISODES` layouts."""
-SCRIPTED = (*USUAL, *browser.CLASSICS)
-"""Scripted policies that the page has."""
-FIRST_LAYOUT = 3
-"""That the page begins with."""
+OWN = Path("runs")  # where runs are looked for if none is named
+SEEDS = 3  # of each run, the lowest, if there is room
+MOST = 36  # networks on a page: a network of 64-64 takes 67 kB, and a page shall stay below 3 MB
+DRONES = 4  # in a race
+ALL_SPLITS = ("test", "validation", "train")  # of each of them a page contains the first `EPISODES` layouts
+SCRIPTED = (*USUAL, *browser.CLASSICS)  # scripted policies that the page has
+FIRST_LAYOUT = 3  # that the page begins with
 
 
 class Setting(NamedTuple):
@@ -286,7 +279,6 @@ class Opening(NamedTuple):
 
 
 def page(flyers: Flyers, opening: Opening | None = None) -> str:
-    """The one HTML file."""
     found, opening = flyers.policies, opening or Opening()
     metrics = [{"name": name, **METRICS[name]._asdict()} for name in paper.COLUMNS]
     scene = _scene(flyers, opening)

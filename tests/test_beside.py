@@ -107,6 +107,15 @@ def test_overestimation_of_a_seed_does_not_depend_on_the_others(tmp_path):
     assert both["q"].nunique() == 2
 
 
+@pytest.mark.parametrize(
+    ("gamma", "n_layouts", "message"),
+    [(None, 3, "gamma=None; give a discount"), (0.9, 1001, "give 1 to 1000 layouts")],
+)
+def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, message):
+    with pytest.raises(ValueError, match=message):
+        overestimation(population(tmp_path), gamma, n_layouts=n_layouts)
+
+
 # -- their files ---------------------------------------------------------------------------------------------
 
 

@@ -285,6 +285,19 @@ def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
     assert not any(line.get_linewidth() == 2.4 for line in drawn.figure.axes[0].lines)
 
 
+def test_a_ranking_shows_the_seeds_and_cuts_the_wide_intervals_of_two():
+    """Two seeds at 10 and 11: their interval, 10.5 ± 6.4, is cut at as far as the seeds are apart."""
+    wide, many = np.array([10.0, 11.0]), np.linspace(10.0, 11.0, 40)
+    for seeds, limits in ((wide, (9.0, 12.0)), (many, None)):
+        found = stats.interval(seeds)
+        (axes,) = charts.episodes({"PPO": (seeds, found)}, {"PPO": ("C0", "-")}, np.nan, "reward").figure.axes
+        low, high = axes.get_xlim()
+        assert low <= 10 < 11 <= high
+        assert limits is None or (low, high) == pytest.approx(limits)
+    assert (found.low, found.high) > (low, low)  # of forty, nothing is cut
+    assert high > found.high
+
+
 def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
     shares = stats.survival(np.array([10.0, 20.0, 100.0, 100.0]), np.array([True, True, False, False]))
     drawn = charts.survival({"PPO tanh (n = 1)": shares}, limit=100)

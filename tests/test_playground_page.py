@@ -37,7 +37,7 @@ from uavnav.runs.metrics import METRICS, per_episode
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.table import make_task
-from uavnav.views.browser.playground import SCRIPTED, SETTINGS, TITLES, Opening, collect, page
+from uavnav.views.browser.playground import ABOUT, SCRIPTED, SETTINGS, Opening, collect, page
 
 pytestmark = pytest.mark.slow
 
@@ -322,7 +322,7 @@ def test_a_crash_is_told_with_what_one_can_do_next_while_the_others_fly_on(brows
     crashed = drone(browser)
     assert one(browser, "#banner-words").text.startswith(f"You crashed: step {crashed['steps']}, reward −")
     assert "1, You keys: crashed, step " in one(browser, "#status").get_property("textContent")
-    assert crashed["reward"] == pytest.approx(0.09 * (crashed["steps"] - 1) - 10, abs=0.5)
+    assert crashed["reward"] == pytest.approx(0.01 * (crashed["distance"] - 9) - 10)  # of its last step
     wait(browser, lambda: drone(browser, 3)["steps"] > crashed["steps"] + 2)
     one(browser, "#banner-next").click()
     assert ask(browser, "[playground.scene.layout, playground.race.steps, playground.playing]") == [
@@ -476,7 +476,7 @@ def test_layouts_are_those_of_the_splits_by_number_and_sliders_draw_others(brows
     assert ask(browser, "[playground.scene.layouts, playground.race.circles.length]") == ["random", 5]
 
 
-@pytest.mark.parametrize("task", TITLES)
+@pytest.mark.parametrize("task", ABOUT)
 def test_random_layouts_of_other_numbers_are_other_layouts_and_of_the_same_number_the_same(
     task, browser, opened
 ):
@@ -661,7 +661,7 @@ def states(browser):
 
 def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
     choice = Select(one(browser, "#task"))
-    assert [option.text for option in choice.options] == [world["title"] for world in TITLES.values()]
+    assert [option.text for option in choice.options] == [task["title"] for task in ABOUT.values()]
     shown = {"drone": {"k"}, "slalom": {"gap"}, "moving": {"k", "pace"}, "goal": {"k"}}
     for name, sliders in shown.items():
         choice.select_by_value(name)
@@ -672,7 +672,7 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
             *(["cannot fly"] * 2 if name == "goal" else ["flying"] * 2),
             "flying",
         ]
-        assert one(browser, "#told").text.startswith(TITLES[name]["told"])
+        assert one(browser, "#told").text.startswith(ABOUT[name]["told"])
         assert ask(browser, "playground.scene.layouts") == ("random" if name == "slalom" else "test")
     assert one(browser, "#told").text.endswith(
         "No network here has learned that: you and the scripted policy fly."

@@ -30,14 +30,24 @@ def overestimation(
     there is none. All episodes start upwards.
 
     population: greedy policies whose outputs are values, by seed; gamma: the discount of their training.
+
+    Raises:
+        ValueError: gamma is no discount, or there are no such layouts or steps.
     """
+    all_layouts = layouts.load("test")
+    if not isinstance(gamma, (int, float)) or not 0 <= gamma <= 1:
+        raise ValueError(f"gamma={gamma}; give a discount from 0 to 1")
+    if not 1 <= n_layouts <= len(all_layouts) or steps < 1:
+        raise ValueError(
+            f"n_layouts={n_layouts}, steps={steps}; give 1 to {len(all_layouts)} layouts and at least 1 step"
+        )
     horizon = next((n for n in range(1, max_steps + 1) if gamma**n < 0.01), max_steps + 1)
     seeds, heading = list(population), torch.full((n_layouts,), UP)
     n, limit = len(seeds) * n_layouts, min(steps + horizon, max_steps)
     q, returned = (torch.zeros(limit, n, dtype=torch.float64) for _ in range(2))
     seen = torch.zeros(limit, n, dtype=torch.bool)
     collided = torch.zeros(n, dtype=torch.bool)
-    task = population[seeds[0]].task.replace(layouts=layouts.load("test")[:n_layouts], max_steps=limit)
+    task = population[seeds[0]].task.replace(layouts=all_layouts[:n_layouts], max_steps=limit)
     for one in episodes.steps(list(population.items()), task, heading):
         assert one.values is not None
         step, outcome = one.number - 1, one.outcome

@@ -85,7 +85,7 @@ TOLD = {
     "goal": "Fly to the rings, in at most 1,000 steps. It takes a network that senses its goal.",
 }
 """What the page says of each task."""
-TITLES = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
+ABOUT = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
 
 
 class Flyers(NamedTuple):
@@ -233,7 +233,7 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
     task = policy.task
-    place = "" if name_of(task) == "drone" else f" with {TITLES[name_of(task)]['title']}"
+    place = "" if name_of(task) == "drone" else f" with {ABOUT[name_of(task)]['title']}"
     place += "" if task.faults == NO_FAULTS else f" with {str(task.faults).replace(',', ', ')}"
     trained = f"{frames:,} frames of training" if frames else "trained elsewhere"
     return {
@@ -286,7 +286,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     data: dict[str, Any] = {
         "tasks": browser.constants(),
         "settings": settings,
-        "titles": TITLES,
+        "about": ABOUT,
         "metrics": metrics,
         "columns": list(EPISODE_COLUMNS),
         "limit": MAX_STEPS,  # of an episode that can be kept
@@ -320,7 +320,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         data=Markup(text),
         metrics=metrics,
         settings=SETTINGS,
-        titles=TITLES,
+        about=ABOUT,
         world=World(),
         others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
         told=f"It contains {len(found)} trained networks: {configurations} pairs of an algorithm and an "

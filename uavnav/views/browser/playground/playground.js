@@ -442,7 +442,7 @@ class Playground {
   /** The task with its layouts, sliders and faults. */
   showWorld() {
     const { race, scene, find } = this;
-    const { settings, policies, titles, layouts } = this.data;
+    const { settings, policies, about, layouts } = this.data;
     for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
     find("layout").max = this.count - 1;
     find("k").value = race.circles.length;
@@ -457,7 +457,7 @@ class Playground {
     say(find("faults-now"), faults.map(([name]) => `${name} ${short(scene[name])}`).join(", ") || "none");
     const able = !policies.length || policies.some(({ key }) => race.canFly(key));
     const told = able ? "" : " No network here has learned that: you and the scripted policy fly.";
-    say(find("told"), `${titles[scene.task].told}${told}`);
+    say(find("told"), `${about[scene.task].told}${told}`);
     find("told").hidden = !find("told").textContent;
   }
 

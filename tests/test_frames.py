@@ -19,6 +19,7 @@ from uavnav.report.studies import of_paper
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
 from uavnav.runs.definitions import ALL, DEFINITIONS, EVALUATIONS, PER_FRAME, TOTALS
+from uavnav.tasks.protocol import MAX_STEPS
 
 SPREAD = (-1.0, 0.0, 1.0)
 
@@ -154,7 +155,7 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
         {("ppo", "tanh"): one, ("ppo", "relu"): of_rewards([0.0], ("ppo", "relu"))}, {}
     )
     (row,) = table.to_dict("records")
-    of_first = 10 + 0.75 * 10 + 0.5 * (frames.LIMIT - 20)
+    of_first = 10 + 0.75 * 10 + 0.5 * (MAX_STEPS - 20)
     assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
     assert (row["configuration"], row["n"], row["episodes"]) == ("PPO tanh", 2, 6)
     assert row["cut_off"] == pytest.approx(2 / 6)

@@ -23,7 +23,6 @@ from uavnav.report.page import markdown, page
 from uavnav.report.studies import of_paper
 from uavnav.report.tables import (
     LISTED,
-    audit_rows,
     crossed,
     digits,
     latex,
@@ -153,7 +152,7 @@ def test_a_part_says_why_it_does_not_count_and_how_many_seeds_it_would_take():
         ({"standing": "too few seeds", "n": 3}, "open (n = 3, at least 5 seeds needed)"),
         ({"standing": "no runs"}, "no runs"),
     ):
-        assert said(part._replace(**changes)) == expected
+        assert said(part._replace(**changes)._asdict()) == expected
 
 
 def test_a_row_of_the_audit_has_ours_and_its_ratio_to_the_papers_with_intervals():
@@ -167,17 +166,17 @@ def test_a_row_of_the_audit_has_ours_and_its_ratio_to_the_papers_with_intervals(
         "ratio_high": 0.75,
     }
     part = findings_of("replicates")[0]._replace(**known, n=8, p_holm=0.0123, nearest="A against B")
-    assert audit_rows(pd.DataFrame([part]))[1][1:] == [
+    assert listed(pd.DataFrame([part]), "verdicts")[1][1:] == [
         *("4.0", "2.0 [1.0, 3.0] (A against B)", "0.50 [0.25, 0.75]", "0.012", "8", "replicates")
     ]
-    assert audit_rows(pd.DataFrame([part._replace(p_holm=0.0001)]))[1][4] == "< 0.001"
+    assert listed(pd.DataFrame([part._replace(p_holm=0.0001)]), "verdicts")[1][4] == "< 0.001"
 
 
 @pytest.mark.parametrize(
     ("width", "expected"), [(250.0, 0), (20.0, 0), (2.0, 1), (0.2, 2), (0.003, 4), (1e-9, 6)]
 )
 def test_an_interval_is_shown_with_two_significant_digits(width, expected):
-    assert digits(findings_of()[0]._replace(value=width, low=width, high=2 * width)) == expected
+    assert digits({"value": width, "low": width, "high": 2 * width}) == expected
 
 
 def test_rows_of_how_often_the_rule_errs_and_of_the_papers_numbers_as_one_more_seed():

@@ -24,12 +24,8 @@ from uavnav.stats import Array
 
 PRIMARY = PER_FRAME
 """The metric definition of all that is not said of a claim."""
-TRAINING, LOG, FINAL, OTHER = (
-    "training, per frame",
-    "training, SB3's log",
-    "final policies",
-    "other settings",
-)
+TRAINING, LOG = "training, per frame", "training, SB3's log"
+FINAL, OTHER = "final policies", "other settings"
 COLUMNS = {TRAINING: PER_FRAME, LOG: LOG_CURVE, FINAL: SAMPLED, OTHER: SAMPLED}
 """What a claim is graded on, none of which is the whole answer, and the metric definition of each."""
 COMPARED = ("ppo", "dqn")
@@ -45,15 +41,12 @@ TIMES = 1.5
 """What counts as "about twice" and "nearly double": at least so many times each other configuration."""
 NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "leaky ReLU"}
 
-FIVE = ("ppo", "dqn", "sac", "a2c", "c51")
 PAIR = ("tanh", "relu")
-"""Algorithms of the study `worlds`; activations of most side studies, the bounded one first."""
+"""Activations of most side studies, the bounded one first."""
 ALL_TASKS = "all tasks"
 """The mean over tasks."""
 RUNGS = {0: "density-0", 4: "density-4", 8: "drone", 16: "density-16", 20: "density-20"}
 """Tasks by their number of obstacles."""
-DENSE = (16, 18, 20)
-NARROW = (100, 90, 80, 70)  # [px]
 PASSAGES = {
     "passages_per_1000_steps": "passages per 1,000 steps",
     "passages_per_episode": "passages per episode",
@@ -74,7 +67,6 @@ FAST, TUNED = "fast", "tuned"
 """Studies of other settings: the preset, and what 40 trials found."""
 RANKED, NONE = "ranked", "none"
 """The term of such a correlation, and that of no correlation."""
-
 
 OF_FLIGHT = ("corridor", "clearance", "empty_", "reversals")
 """How the names of metrics begin that are known only of final policies."""
@@ -213,8 +205,7 @@ def _six(text: str, up: Keys, down: Keys, sign: int = 1, make: Any = _pairs) -> 
 
 
 def _bounded(algorithm: str, metric: str, beside: bool = False) -> Part:
-    label = f"{METRICS[metric].label}: {algorithm.upper()}"
-    text = f"{label}'s tanh and sigmoid above its ReLU and leaky ReLU"
+    text = f"{METRICS[metric].label}: {algorithm.upper()}'s tanh and sigmoid above its ReLU and leaky ReLU"
     return _means(text, metric, _of(algorithm, *BOUNDED), _of(algorithm, *UNBOUNDED), beside=beside)
 
 
@@ -301,7 +292,7 @@ def _density() -> list[Part]:
     falls = "reward: PPO minus DQN falls along the density ladder, policies trained at eight obstacles"
     eight = {
         at("reward", "density", rung): f"reward: DQN above PPO at {rung} obstacles, policies trained at eight"
-        for rung in DENSE
+        for rung in (16, 18, 20)
     }
     own = {
         RUNGS[rung]: f"reward: DQN above PPO where both were trained at {rung} obstacles" for rung in (16, 20)
@@ -333,7 +324,7 @@ def slopes(rungs: Sequence[float]) -> Array:
 def _slalom() -> list[Part]:
     """Two independent tests, at the widest narrow gap; what else the same policies do is only shown."""
     tasks = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
-    asked = itertools.product(PASSAGES.items(), NARROW, tasks.items())
+    asked = itertools.product(PASSAGES.items(), (100, 90, 80, 70), tasks.items())
     parts = [
         _above(
             f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}",
@@ -376,7 +367,7 @@ def _gradients() -> list[Part]:
             [(one, unbounded, ALL_TASKS)],
             [(one, bounded, ALL_TASKS)],
         )
-        for (metric, text), one in itertools.product(questions.items(), FIVE)
+        for (metric, text), one in itertools.product(questions.items(), ("ppo", "dqn", "sac", "a2c", "c51"))
     ]
     explains = [
         _means(

@@ -15,8 +15,6 @@ from uavnav.report.verdicts import COUNTS, OPEN
 
 
 class Row(NamedTuple):
-    """What becomes of a claim."""
-
     number: int
     sentence: str  # of the paper
     note: str
@@ -38,15 +36,15 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
         for place, one in grades.to_dict("index").items():
             column, seeds = one["column"], " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
             counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
-            grade = quotes.link(one["grade"], "grades", int(str(place)))
+            grade = quotes.link(one["grade"], "grades", place)
             graded[column] = f"{grade}{counts}, n\u00a0=\u00a0{seeds}"
             judged = content.tables["verdicts"].query("claim == @claim.number and column == @column")
-            parts[column] = tables.audit_rows(judged)
+            parts[column] = tables.listed(judged, "verdicts")
             own = one["grade"] if column == claim.column else own
         said = prose[f"claim_{claim.number}"] or _generic(claim, content, quotes)
         in_order = {column: parts[column] for column in COLUMNS if column in parts}
-        row = claim.number, claim.sentence, claim.note, claim.column, own, graded, said, in_order
-        found.append(Row(*row))
+        about = claim.number, claim.sentence, claim.note, claim.column
+        found.append(Row(*about, own, graded, said, in_order))
     return found
 
 
@@ -54,16 +52,16 @@ def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
     verdicts = content.tables["verdicts"]
     chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
-    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].iterrows():
+    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].to_dict("index").items():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
-        return f"{one['text']}: {quotes.link(effect, 'verdicts', int(str(place)))}"
+        return f"{one['text']}: {quotes.link(effect, 'verdicts', place)}"
     return "No part that counts has runs."
 
 
 def table(found: Sequence[Row]) -> tables.Rows:
     """A claim's sentence in the paper and its grade in each column."""
-    shown = [["", "the paper says", *COLUMNS]]
-    return [*shown, *([str(one.number), one.sentence, *one.grades.values()] for one in found)]
+    rows = ([str(one.number), one.sentence, *one.grades.values()] for one in found)
+    return [["", "the paper says", *COLUMNS], *rows]
 
 
 def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> tables.Rows:
@@ -71,6 +69,6 @@ def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> table
     shown, quotes = [["claim", "what it says", "the paper's own tables"]], Quotes(numbers, root)
     verdicts = numbers["verdicts"]
     for place, one in verdicts[(verdicts["column"] == LOG) & (verdicts["paper"] <= 0)].iterrows():
-        number = quotes.link(tables.number(one["paper"]), "verdicts", int(str(place)))
+        number = quotes.link(tables.number(one["paper"]), "verdicts", place)
         shown.append([str(one["claim"]), one["text"], number])
     return shown

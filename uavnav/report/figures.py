@@ -12,7 +12,7 @@ from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
 from uavnav.report import activations, arena, behaviour, charts, horizon, learned, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import algorithms
-from uavnav.report.frames import LIMIT, REACTIVE, least_to_most, name
+from uavnav.report.frames import REACTIVE, least_to_most, name
 from uavnav.report.studies import Configurations
 from uavnav.report.templating import Figure
 from uavnav.report.verdicts import COUNTS
@@ -22,6 +22,7 @@ from uavnav.runs.definitions import PER_FRAME, SAMPLED, words
 from uavnav.runs.metrics import MODES
 from uavnav.stats import Array, Interval
 from uavnav.tasks import layouts
+from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.tasks.world import World
 
 SHOWN_LAYOUTS = (0, 1, 2)
@@ -202,4 +203,4 @@ def _survival(
         "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and"
         " is no collision. Sampled."
     )
-    return Figure("survival", "statistics", charts.survival(episodes, LIMIT, width), caption)
+    return Figure("survival", "statistics", charts.survival(episodes, MAX_STEPS, width), caption)

@@ -19,15 +19,7 @@ import pandas as pd
 from uavnav import stats
 from uavnav.report import claims
 from uavnav.report.claims import BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, Evidence
-from uavnav.report.configurations import (
-    Configuration,
-    Key,
-    algorithms,
-    episodes_of,
-    order,
-    read_as,
-    windowed,
-)
+from uavnav.report.configurations import Configuration, Key, algorithms, episodes_of, order, read_as, windowed
 from uavnav.report.studies import AFTER, Configurations, Studies, hours, paper_configurations, timed
 from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
 from uavnav.runs import paper
@@ -36,8 +28,6 @@ from uavnav.runs.metrics import EVALUATED, finished
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import MAX_STEPS
 
-LIMIT = MAX_STEPS
-"""Steps at which the restricted mean of a survival curve ends: the evaluation's own time limit."""
 DIAGNOSTICS = {
     "dormant": "dormant hidden units [share]",
     "saturated": "saturated activations [share]",
@@ -66,7 +56,6 @@ REACTIVE = "reactive"
 """The scripted policy that everything learned is compared with: `uavnav.tasks.baselines.reactive`."""
 VECTORISED = "many environments"
 """The setting in which the study in many environments differs from that in one."""
-EVERY = "all configurations"
 SB3 = "SB3's log"
 CONCLUSIONS = {
     "tanh − relu": (("tanh",), ("relu",)),
@@ -78,7 +67,6 @@ CONCLUSIONS = {
 NUMBERS = ["value", "low", "high", "n"]
 AS_DECIDED = "default"
 """The switch that changes nothing."""
-
 
 Arguments = ParamSpec("Arguments")
 Rows = Iterator[Sequence[Any]]
@@ -98,7 +86,6 @@ def columns(*names: str) -> Callable[[Callable[Arguments, Rows]], Callable[Argum
 
 
 def name(algorithm: str, activation: str) -> str:
-    """A configuration, in words."""
     return f"{algorithm.upper()} {activation}"
 
 
@@ -194,7 +181,7 @@ def survival(
             continue
         curves[label] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
         means = [
-            stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), LIMIT)
+            stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), MAX_STEPS)
             for _, one in part.groupby("seed")
         ]
         mean = stats.interval(means)
@@ -444,7 +431,7 @@ def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> Rows:
             as_one = len({*map(len, seeds)}) == 1
             joint = stats.joint(np.stack(seeds, 1), part["paper"].to_numpy()) if as_one else [np.nan] * 2
             facts = int(part["within"].sum()), len(part), part["score"].mean()
-            yield [definition, name(*key) if key else EVERY, *facts, *joint]
+            yield [definition, name(*key) if key else "all configurations", *facts, *joint]
 
 
 @columns(
@@ -493,12 +480,12 @@ def gap_to(episodes: pd.DataFrame, scripted: pd.DataFrame) -> stats.Array:
     return (episodes["reward"] - of_scripted).groupby(episodes["seed"]).mean().to_numpy()
 
 
-def passing(gaps: pd.DataFrame) -> pd.DataFrame:
-    """How many seeds of an algorithm pass the scripted policy: columns algorithm, mode, passing, n."""
-    learned = gaps[gaps["algorithm"] != ""].astype({"above": float, "n": float})  # no rows have no types
-    counted = learned.assign(passing=(learned["above"] * learned["n"]).round())
-    found = counted.groupby(["algorithm", "mode"], sort=False)[["passing", "n"]].sum()
-    return found.astype("int64").reset_index()
+@columns("algorithm", "mode", "passing", "n")
+def passing(gaps: pd.DataFrame) -> Rows:
+    """How many seeds of an algorithm pass the scripted policy."""
+    learned = gaps[gaps["algorithm"] != ""]
+    for key, part in learned.groupby(["algorithm", "mode"], sort=False):
+        yield [*key, int((part["above"] * part["n"]).round().sum()), part["n"].sum()]
 
 
 def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:

@@ -15,9 +15,8 @@ import jinja2
 import pandas as pd
 
 from uavnav.report.claims import COLUMNS, EVERY
-from uavnav.report.tables import in_brackets
+from uavnav.report.tables import NOTHING, in_brackets
 from uavnav.report.verdicts import BESIDE, COUNTS
-from uavnav.stats import Interval
 
 
 class Untrue(ValueError):
@@ -65,14 +64,12 @@ class Quotes:
             raise Untrue(f"{name}, {where}: {of} {low} to {high} is not {sign}")
         times = -times if sign == "−" else times
         value, low, high = (times * one for one in values)
-        found = Interval(value, min(low, high), max(low, high), 0)
+        found = {"value": value, "low": min(low, high), "high": max(low, high)}
         return self.link(in_brackets(found, unit, places), name, place)
 
-    def claim(
-        self, number: int, sign: str, of: str = "value", times: float = 1, unit: str = "", **more: Any
-    ) -> str:
+    def claim(self, number: int, sign: str, *how: Any, **more: Any) -> str:
         """The effect, or its ratio to the paper's, of a part of a claim that counts: the one that its
-        sentence is about, or another `column` and `text`.
+        sentence is about, or another `column` and `text`; how, more: as `quote` takes them.
         """
         claim = EVERY[number - 1]
         if claim.shown is None:
@@ -82,13 +79,13 @@ class Quotes:
         part = verdicts[(verdicts["claim"] == number) & (verdicts["column"] == row["column"])]
         if part.set_index("text").standing.get(row["text"]) not in (COUNTS, BESIDE):
             raise Untrue(f"claim {number}: {row['text']} does not count")
-        return self.quote("verdicts", sign, of, times, unit, claim=number, **row)
+        return self.quote("verdicts", sign, *how, claim=number, **row)
 
     def grade(self, number: int, *grades: str) -> str:
         """Nothing, if a claim has these grades in the columns of `COLUMNS`; a dash where it has none."""
         grades_of = self.table("grades")
         table = grades_of[grades_of["claim"] == number].set_index("column")["grade"]
-        found = [table.get(column, "–") for column in COLUMNS]
+        found = [table.get(column, NOTHING) for column in COLUMNS]
         return self.check(found == [*grades])
 
     def check(self, holds: bool) -> str:
@@ -97,7 +94,7 @@ class Quotes:
             raise Untrue("a comparison is not true")
         return ""
 
-    def link(self, words: str, name: str, row: int | None = None) -> str:
+    def link(self, words: str, name: str, row: Any = None) -> str:
         """Words that lead to a table, or to a row of it: its line in the CSV, after that of the header."""
         return f"[{words}]({self.root}tables/{name}.csv{f'#L{row + 2}' if row is not None else ''})"
 

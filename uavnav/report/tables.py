@@ -17,7 +17,7 @@ from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import COMPARED, NAMES
 from uavnav.report.configurations import Configuration, episodes_of, one_line, show
-from uavnav.report.frames import REACTIVE, estimates, name, per_seed_values
+from uavnav.report.frames import NUMBERS, REACTIVE, estimates, name, per_seed_values
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
     BESIDE,
@@ -29,8 +29,6 @@ from uavnav.report.verdicts import (
     SEEDS,
     TOO_FEW,
     TOO_SMALL,
-    Finding,
-    p_shown,
 )
 from uavnav.runs import paper, trials
 from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, SAMPLED, decimals, words
@@ -68,11 +66,11 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
     return shown if math.isnan(low) else f"{shown} [{number(low, digits)}, {number(high, digits)}]"
 
 
-def in_brackets(found: stats.Interval, unit: str = "", places: int | None = None) -> str:
+def in_brackets(found: Record, unit: str, places: int | None) -> str:
     """A number and its interval, where it has one, in plain words. Shares and hundreds are whole."""
     if places is None:
-        places = 0 if unit or abs(found.value) > 100 else digits(found)
-    value, low, high = (number(round(one, places) + 0.0, max(places, 0)) for one in found[:3])  # no −0
+        places = 0 if unit or abs(found["value"]) > 100 else digits(found)
+    value, low, high = (number(round(found[one], places) + 0.0, max(places, 0)) for one in VALUE)  # no −0
     return value + unit if low == NOTHING else f"{value}{unit} ({low} to {high}{unit})"
 
 
@@ -116,6 +114,17 @@ def _layer_norm(one: Record) -> str:
 
 
 LISTED: Mapping[str, Columns] = {
+    "verdicts": {
+        "question": "{text}",
+        "the paper": lambda one: number(one["paper"], digits(one)),
+        "ours, adjusted interval": lambda one: (
+            _interval(one, VALUE, digits(one)) + (f" ({one['nearest']})" if one["nearest"] else "")
+        ),
+        "ours : the paper": "{ratio:.2f} [{ratio_low:.2f}, {ratio_high:.2f}]",
+        "Holm's p": lambda one: "< 0.001" if one["p_holm"] < 0.001 else number(one["p_holm"], 3),
+        "seeds": "{n}",
+        "verdict": lambda one: said(one),
+    },
     "interaction": {
         "definition": "{definition}",
         "metric": "{metric}",
@@ -170,9 +179,7 @@ LISTED: Mapping[str, Columns] = {
         "question": "{question}",
         "configuration or difference": "{row}",
         "measure": "{metric}",
-        "mean": lambda one: _interval(
-            one, VALUE, digits(stats.Interval(*(one[key] for key in (*VALUE, "n"))))
-        ),
+        "mean": lambda one: _interval(one, VALUE, digits(one)),
         "seeds": "{n}",
     },
     "leaders": {
@@ -292,7 +299,7 @@ def crossed(
     return rows
 
 
-def _interval(one: Record, columns: Sequence[str], digits: int = 2) -> str:
+def _interval(one: Record, columns: Sequence[str], digits: int) -> str:
     value, low, high = (one[column] for column in columns)
     return with_interval(value, low, high, digits)
 
@@ -300,55 +307,37 @@ def _interval(one: Record, columns: Sequence[str], digits: int = 2) -> str:
 def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
     """A row a configuration: means over seeds, with intervals, of some columns. frame: a row a seed."""
     found = [
-        {"configuration": one, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
+        [one, name, *stats.interval(part[name].to_numpy())]
         for one, part in frame.groupby("configuration", sort=False)
         for name in columns
     ]
-    return crossed(
-        pd.DataFrame(found, columns=["configuration", "of", *stats.Interval._fields]),
-        "configuration",
-        "of",
-        None,
-        columns,
-    )
+    means = pd.DataFrame(found, columns=["configuration", "of", *NUMBERS])
+    return crossed(means, "configuration", "of", None, columns)
 
 
-def audit_rows(parts: pd.DataFrame) -> Rows:
-    """The parts of a claim; parts: as `frames.verdicts` gives them."""
-    ours = ("ours, adjusted interval", "ours : the paper")
-    rows = [["question", "the paper", *ours, "Holm's p", "seeds", "verdict"]]
-    findings: Iterable[Any] = parts.itertuples()
-    for one in findings:
-        nearest = f" ({one.nearest})" if one.nearest else ""
-        effect = with_interval(one.value, one.low, one.high, digits(one)) + nearest
-        ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
-        numbers = number(one.paper, digits(one)), effect, ratio, p_shown(one.p_holm)
-        rows.append([one.text, *numbers, str(one.n), said(one)])
-    return rows
-
-
-def digits(finding: Any) -> int:
-    """Decimals that show an interval with two significant digits; without one, the effect."""
-    width = finding.high - finding.low
-    known = width if width > 0 else abs(finding.value)
+def digits(one: Record) -> int:
+    """Decimals that show an interval with two significant digits; without one, the value."""
+    width = one["high"] - one["low"]
+    known = width if width > 0 else abs(one["value"])
     return min(max(1 - math.floor(math.log10(known)), 0), 6) if known > 0 else 2
 
 
-def said(finding: Finding) -> str:
+def said(part: Record) -> str:
     """A part's verdict, how many seeds another would take, and why it does not count if it does not."""
-    if finding.standing == NO_RUNS:
+    standing = str(part["standing"])
+    if standing == NO_RUNS:
         return NO_RUNS
-    if finding.standing == TOO_FEW:
-        return f"{OPEN} (n = {finding.n}, at least {SEEDS} seeds needed)"
-    if finding.standing == BESIDE and math.isnan(finding.low):
+    if standing == TOO_FEW:
+        return f"{OPEN} (n = {part['n']}, at least {SEEDS} seeds needed)"
+    if standing == BESIDE and math.isnan(part["low"]):
         return BESIDE
-    answer = finding.verdict + (", less than half" if finding.less_than_half else "")
-    if finding.verdict == OPEN and not math.isnan(finding.to_equal):
-        answer += f" ({_about(finding.to_equal)} would show absence)"
-    if finding.standing in (COUNTS, DEGENERATE):
+    answer = str(part["verdict"]) + (", less than half" if part["less_than_half"] else "")
+    if part["verdict"] == OPEN and not math.isnan(part["to_equal"]):
+        answer += f" ({_about(part['to_equal'])} would show absence)"
+    if standing in (COUNTS, DEGENERATE):
         return answer
-    needed = f" for n = {finding.n} ({_about(finding.to_detect)} needed)"
-    return f"{finding.standing}{needed * (finding.standing == TOO_SMALL)}; ours: {answer}"
+    needed = f" for n = {part['n']} ({_about(part['to_detect'])} needed)"
+    return f"{standing}{needed * (standing == TOO_SMALL)}; ours: {answer}"
 
 
 def _about(seeds: float) -> str:
@@ -396,12 +385,10 @@ def predictions(frame: pd.DataFrame, definition: str) -> Rows:
         return f"{own} {'within' if one['within'] else 'outside'}" if one["n"] > 1 else NOTHING
 
     rows = [["configuration", "seeds", *(words(metric, definition) for metric in paper.COLUMNS)]]
-    for key, part in frame[frame["definition"] == definition].groupby(
-        ["algorithm", "activation"], sort=False
-    ):
-        rows.append(
-            [name(*map(str, key)), str(part["n"].max()), *_across(part, "metric", paper.COLUMNS, shown)]
-        )
+    own = frame[frame["definition"] == definition]
+    for key, part in own.groupby(["algorithm", "activation"], sort=False):
+        numbers = _across(part, "metric", paper.COLUMNS, shown)
+        rows.append([name(*map(str, key)), str(part["n"].max()), *numbers])
     return rows
 
 
@@ -462,7 +449,7 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequ
     rows = [["configuration", "definition", "seeds", *(METRICS[metric].words() for metric in only)]]
     shown_alone = frame[frame["definition"].isin(list(definitions_shown))]
     for key, part in shown_alone.groupby(["algorithm", "activation", "definition"], sort=False):
-        algorithm, activation, definition = (str(one) for one in key)
+        algorithm, activation, definition = map(str, key)
         shown = _across(part, "metric", only, _estimate)
         rows.append([name(algorithm, activation), definition, str(part["n"].max()), *shown])
     return rows
@@ -567,7 +554,6 @@ def facts(configurations: list[Configuration]) -> list[str]:
 
 
 def run_table(configurations: list[Configuration]) -> Rows:
-    """How each run was made."""
     rows = [["run", "configuration", "seeds", "frames per seed", "ended", "wall time", "threads", "compiled"]]
     unknown = dict.fromkeys(("threads", "compiled", "ended"), "not known")
     for configuration in configurations:

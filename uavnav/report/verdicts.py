@@ -27,21 +27,14 @@ POWER = 0.8
 """A part counts if the paper's own effect would be found with this probability."""
 HALF = 0.5
 """An effect is absent if it is within plus and minus this share of the paper's, and smaller if below it."""
-REPLICATES, REVERSES, ABSENT, SMALLER, OPEN, DEGENERATE = (
-    "replicates",
-    "reverses",
-    "absent",
-    "smaller",
-    "open",
-    "degenerate",
-)
+REPLICATES, REVERSES, ABSENT = "replicates", "reverses", "absent"
+SMALLER, OPEN, DEGENERATE = "smaller", "open", "degenerate"
 COUNTS, NO_RUNS, TOO_FEW = "counts", "no runs", "too few seeds"
 AGAINST_ITSELF, BESIDE = "the paper contradicts itself", "no part of the grade"
-TOO_SMALL = "the paper's effect is too small"
-"""For as many seeds as there are."""
+TOO_SMALL = "the paper's effect is too small"  # for as many seeds as there are
 """Whether a part counts for its claim's grade, and why not (`DEGENERATE` is a reason too)."""
-GRADES = (REPLICATES, "in part", SMALLER, "does not", OPEN, "context")
-_, IN_PART, _, DOES_NOT, _, CONTEXT = GRADES
+IN_PART, DOES_NOT, CONTEXT = "in part", "does not", "context"
+GRADES = (REPLICATES, IN_PART, SMALLER, DOES_NOT, OPEN, CONTEXT)
 
 
 class Finding(NamedTuple):
@@ -307,10 +300,3 @@ def _needed(part: Part, found: Contrasts, effects_: Array, level: float, n: int)
 
     detects = stats.fewest(lambda seeds: bool(_power(part, of(seeds), effects_, level) >= POWER), SEEDS)
     return detects, stats.fewest(equals, SEEDS)
-
-
-def p_shown(p: float) -> str:
-    """A p value for people: a dash where there is none."""
-    if math.isnan(p):
-        return "–"
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"

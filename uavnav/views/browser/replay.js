@@ -148,21 +148,37 @@ class Player {
     event.preventDefault();
   }
 
-  chooseCell() {
+  /** Where the reader is, as `open` takes it. */
+  get bookmark() {
+    const { seed, layout, speed } = this.parts;
+    const name = named(this.configuration);
+    return { name, seed: seed.value, layout: layout.value, speed: speed.value, step: this.step };
+  }
+
+  /** Go where a bookmark of an earlier page says, if its configuration is still there. */
+  open({ name, seed, layout, speed, step }) {
+    const place = this.data.configurations.findIndex((one) => named(one) === name);
+    if (place < 0) return;
+    this.parts.configuration.value = place;
+    this.parts.speed.value = speed;
+    this.chooseCell(seed, layout, step);
+  }
+
+  chooseCell(wantedSeed, wantedLayout, step) {
     const episodes = this.data.configurations[this.parts.configuration.value].episodes;
     const seeds = [...new Set(episodes.map(({ seed }) => seed))];
-    fill(this.parts.seed, seeds.map((seed) => [seed, seed]));
-    this.chooseSeed();
+    fill(this.parts.seed, seeds.map((seed) => [seed, seed]), wantedSeed);
+    this.chooseSeed(wantedLayout, step);
   }
 
-  chooseSeed() {
+  chooseSeed(wantedLayout, step) {
     const { configuration, seed, layout } = this.parts;
     const episodes = this.data.configurations[configuration.value].episodes.filter((episode) => episode.seed === Number(seed.value));
-    fill(layout, episodes.map((episode) => [episode.layout, `${episode.layout + 1} (${ending(episode)})`]));
-    this.load();
+    fill(layout, episodes.map((episode) => [episode.layout, `${episode.layout + 1} (${ending(episode)})`]), wantedLayout);
+    this.load(step);
   }
 
-  async load() {
+  async load(step = 0) {
     const { configuration, seed, layout, slider, status } = this.parts;
     this.pause();
     this.configuration = this.data.configurations[configuration.value];
@@ -176,14 +192,15 @@ class Player {
     this.episode = episode;
     this.read = null;
     status.textContent = "unpacking the episode …";
+    const unpacking = (this.unpacking = unpack(episode, this.configuration.place?.fields ?? this.data.fields));
     try {
-      const read = await unpack(episode, this.configuration.place?.fields ?? this.data.fields);
-      if (this.episode !== episode) return; // another was chosen meanwhile
+      const read = await unpacking;
+      if (this.unpacking !== unpacking) return; // another was chosen meanwhile
       this.read = read;
       slider.max = episode.steps;
-      this.show(0);
+      this.show(step);
     } catch (error) {
-      if (this.episode === episode) status.textContent = `This episode cannot be shown in this browser (${error.message}).`;
+      if (this.unpacking === unpacking) status.textContent = `This episode cannot be shown in this browser (${error.message}).`;
     }
   }
 
@@ -267,8 +284,8 @@ class Player {
   }
 }
 
-/** Build the player inside an element; with no episodes it says so. */
+/** Build the player inside an element, as its `player`; with no episodes it says so. */
 function startReplays(root, data) {
-  if (data.configurations.length) new Player(root, data);
+  if (data.configurations.length) root.player = new Player(root, data);
   else root.insertAdjacentHTML("beforeend", '<p class="replay-status">There is no policy whose episode could be shown.</p>');
 }

@@ -10,7 +10,7 @@ from runs_by_hand import rows, write_policies
 from selenium.webdriver.support.ui import Select
 
 from uavnav.evaluation import Protocol
-from uavnav.report import configurations
+from uavnav.report import configurations, templating
 from uavnav.report.compare import Contender, page
 from uavnav.tasks import layouts
 from uavnav.tasks.moving import MovingWorld, motion
@@ -64,6 +64,8 @@ def test_obstacles_stand_where_they_stood_at_each_step_and_a_reached_goal_is_tol
         "PPO (box), sampled, a box in 3D, moving spheres",
     ]
     data = "JSON.parse(document.getElementById('replay-data').textContent)"
+    read = {"world", "layouts", "actions", "fields", "configurations"}
+    assert {*ask(chrome, f"Object.keys({data})")} == read
     there = ask(chrome, f"around({data}, {data}.configurations[0], {{ layout: 0 }}, 7).circles")
     all_layouts = layouts.load("test", MovingWorld())[:1]
     obstacles, velocities = motion(all_layouts, torch.tensor([7]), MovingWorld())
@@ -108,4 +110,25 @@ def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_th
     before = ask(chrome, PICTURE)
     one(chrome, ".replay [aria-label='one step forward']").click()
     assert ask(chrome, PICTURE) != before
+    assert complaints(chrome) == []
+
+
+def test_a_page_that_loads_itself_again_shows_the_same_step_of_the_same_episode(chrome, compared, tmp_path):
+    script = templating.TEMPLATES.globals["renewing"].replace("AGAIN = 5000", "AGAIN = 300")
+    path = tmp_path / "watched.html"
+    path.write_text(compared.read_text().replace("</body>", f"<script>{script}</script></body>"))
+    forget(chrome)
+    visit(chrome, path, width=WIDE)
+    Select(one(chrome, ".replay select")).select_by_index(1)
+    Select(one(chrome, ".replay [data-part=speed]")).select_by_visible_text("4×")
+    wait(chrome, lambda: one(chrome, ".replay-status").text.startswith("step 0 of 20: "))
+    words = "const one = document.querySelector('.replay [type=range]'); one.focus(); one.value = 12;"
+    chrome.execute_script(f"window.before = true; {words} one.dispatchEvent(new Event('input'))")
+    assert one(chrome, ".replay-status").text.startswith("step 12 of 20: ")
+    wait(chrome, lambda: not ask(chrome, "window.before"))
+    shown = "[...document.querySelectorAll('.replay select')].map((one) => one.selectedOptions[0].text)"
+    wait(chrome, lambda: ask(chrome, "document.querySelector('.replay-status')?.textContent[5] === '1'"))
+    assert ask(chrome, "document.querySelector('.replay-status').textContent").startswith("step 12 of 20: ")
+    assert ask(chrome, shown) == ["PPO (goal), sampled, a goal", "0", "1 (goal at 20)", "4×"]
+    assert ask(chrome, "document.activeElement.type") == "range"
     assert complaints(chrome) == []

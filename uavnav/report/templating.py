@@ -70,6 +70,11 @@ def as_json(data: Any) -> Markup:
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
+def played(recorded: Mapping[str, Any]) -> Markup:
+    """What `views.replays.record` gives as the player's script reads it: without what only Python reads."""
+    return as_json({key: part for key, part in recorded.items() if key not in ("scripted", "left_out")})
+
+
 def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
     """The rows to which a page's links lead; a link to a table as a whole wants all rows of a small one.
 
@@ -153,7 +158,7 @@ TEMPLATES = jinja2.Environment(
     autoescape=jinja2.select_autoescape(),
 )
 TEMPLATES.filters |= {"json": as_json, "cell": cell, "inline": inline, "plain": plain, "listed": listed}
-TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown}
+TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown, "played": played}
 STYLES = HERE / "page.css", browser.HERE / "replay.css", browser.HERE / "first.css"
 PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
 """Scripts of the player, in the order in which a browser reads them."""

@@ -126,6 +126,24 @@ def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
     assert find(browser, "#notice *, img, script:not([type]) ~ script") == []
 
 
+@pytest.mark.parametrize(
+    ("fragment", "left_out"),
+    [
+        ("task=slalom&layouts=test&layout=5", "layouts"),
+        ("layouts=test&layout=205", "layout"),
+        ("task=moving&layouts=test&pace=6", "pace"),
+        ("task=slalom", ""),
+        ("task=moving&layouts=random&pace=6&layout=205", ""),
+    ],
+)
+def test_what_a_link_says_and_its_task_or_its_layouts_do_not_have_is_named(
+    fragment, left_out, browser, opened
+):
+    visit(browser, opened, f"#{fragment}")
+    told = one(browser, "#notice").text
+    assert told == (left_out and f"Left out of the link, because it is not right: {left_out}.")
+
+
 # -- what a visitor does -------------------------------------------------------------------------------------
 
 
@@ -433,6 +451,35 @@ def test_a_drag_ends_with_the_circle_that_it_held(browser, opened):
         mouse("mouseReleased", 200, 200)
         expected = [pytest.approx(circle, abs=1) for circle in [*left, other]]
         assert ask(browser, "playground.race.circles") == expected
+
+
+def test_a_long_press_and_a_second_finger_leave_circles_as_they_are(browser):
+    circle = [150, 450, 60]
+    menu = "const event = new PointerEvent('contextmenu', { clientX: arguments[0], clientY: arguments[1],"
+    menu += " cancelable: true }); document.querySelector('#arena').dispatchEvent(event);"
+    menu += " return event.defaultPrevented;"
+    resize(browser, NARROW)
+    one(browser, "#draw").click()
+    browser.execute_script("playground.edit([arguments[0]], 0); scrollTo(0, 0)", circle)
+    within, free = on_screen(browser, 150, 450), on_screen(browser, 600, 150)
+    touch(browser, "touchStart", within)
+    assert browser.execute_script(menu, *within)  # what a browser does after half a second
+    touch(browser, "touchEnd")
+    assert ask(browser, "playground.race.circles") == [circle]
+    touch(browser, "touchStart", within)
+    touch(browser, "touchStart", within, free)
+    touch(browser, "touchMove", on_screen(browser, 170, 450), free)
+    touch(browser, "touchEnd")
+    (moved,) = ask(browser, "playground.race.circles")
+    assert moved == pytest.approx([170, 450, 60], abs=3)
+    webdriver.ActionChains(browser).context_click(one(browser, "#arena")).perform()  # the start: no circle
+    assert len(ask(browser, "playground.race.circles")) == 1
+    browser.execute_script("playground.edit([[400, 150, 60]], 0)")
+    x, y = on_screen(browser, 400, 150)
+    mouse = {"x": x, "y": y, "button": "right", "clickCount": 1}
+    for kind in ("mousePressed", "mouseReleased"):
+        browser.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": kind, **mouse})
+    assert ask(browser, "playground.race.circles") == []
 
 
 def test_an_added_circle_is_a_new_one_and_where_none_can_be_the_page_says_what_stays_free(browser, opened):
@@ -809,6 +856,25 @@ def test_the_speed_that_is_shown_is_that_of_the_obstacles_also_of_a_split(browse
         assert most / 2 < ask(browser, fastest) <= most
     visit(browser, opened, "#task=moving&layouts=test&pace=6")
     assert one(browser, "#pace-now").text == "2 px/step"
+
+
+@pytest.mark.parametrize(("least", "most"), [(0, 4), (3, 7.25)])
+def test_the_speed_that_is_shown_is_that_of_the_runs_task(least, most, chrome, tmp_path):
+    fastest = "Math.max(...playground.race.layout.circles.map(([, , , vx, vy]) => Math.hypot(vx, vy)))"
+    world = {"speed_min": least, "speed_max": most}
+    write_policies(tmp_path / "run", n_seeds=1, task="moving", world=world)
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect([tmp_path / "run"])))
+    visit(chrome, path)
+    assert one(chrome, "#pace-now").text == f"{most} px/step"
+    assert most / 2 < ask(chrome, fastest) <= most + 1e-6
+    link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
+    visit(chrome, path, f"#{link}")
+    assert not one(chrome, "#notice").is_displayed()
+    Select(one(chrome, "#layouts")).select_by_value("random")
+    slide(chrome, "pace", 2)
+    assert one(chrome, "#pace-now").text == "2 px/step"
+    assert ask(chrome, fastest) <= 2 + 1e-6
 
 
 def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):

@@ -11,6 +11,7 @@ import base64
 import importlib.metadata
 import itertools
 import json
+import math
 import os
 import re
 from collections import Counter
@@ -282,7 +283,10 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     found, opening = flyers.policies, opening or Opening()
     metrics = [{"name": name, **METRICS[name]._asdict()} for name in paper.COLUMNS]
     scene = _scene(flyers, opening)
-    settings = {name: {**one._asdict(), "here": scene[name]} for name, one in SETTINGS.items()}
+    usual = {name: splits.KINDS.get(name, splits.KINDS["drone"]).world() for name in browser.TITLES}
+    worlds = {name: flyers.tasks.get(name, world) for name, world in usual.items()}
+    sliders = SETTINGS | {"pace": _reaching(SETTINGS["pace"], worlds["moving"].model_dump()["speed_max"])}
+    settings = {name: {**one._asdict(), "here": scene[name]} for name, one in sliders.items()}
     data: dict[str, Any] = {
         "tasks": browser.constants(),
         "settings": settings,
@@ -296,10 +300,10 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         "layouts": {},
         "headers": {},
     }
-    for name in browser.TITLES:
+    for name, world in worlds.items():
         own = data["tasks"][name]
+        own["world"] = world.model_dump()
         own["max_steps"] = opening.max_steps or own["max_steps"] or MAX_STEPS
-        world = flyers.tasks.get(name, splits.KINDS.get(name, splits.KINDS["drone"]).world())
         data["headers"][name] = splits.read("test", world)[1]
         if name != "slalom":
             data["layouts"][name] = {
@@ -319,7 +323,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         js=Markup(browser.joined([*browser.WORLD, *SCRIPTS])),
         data=Markup(text),
         metrics=metrics,
-        settings=SETTINGS,
+        settings=sliders,
         about=ABOUT,
         world=World(),
         others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
@@ -327,6 +331,12 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         "activation.",
         version=importlib.metadata.version("uavnav"),
     )
+
+
+def _reaching(slider: Setting, value: float) -> Setting:
+    """A slider that a value fits on, to two decimals."""
+    step = 0.01 if value % slider.step else slider.step
+    return slider._replace(high=max(slider.high, math.ceil(value)), step=step)
 
 
 def _rows(layouts: Tensor) -> dict[str, Any]:

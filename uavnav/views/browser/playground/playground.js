@@ -50,10 +50,8 @@ class Playground {
     this.playing = false;
     const [parts, wrong] = readLink(location.hash, this.read);
     this.load({ ...this.data.scene, ...parts });
-    if (parts.circles && !this.race.circlesFit()) {
-      wrong.push("circles");
-      this.load({ ...this.scene, circles: null });
-    }
+    if (parts.circles && !this.race.circlesFit()) this.load({ ...this.scene, circles: null });
+    wrong.push(...Object.keys(parts).filter((name) => parts[name] !== this.scene[name])); // not of this task
     this.focusOnFlyer();
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
     this.showScene();

@@ -22,7 +22,8 @@ class Race {
     this.scene = split ? { ...scene, layout: scene.layout % split.shape[0] } : { ...scene, layouts: RANDOM };
     if (scene.task === "moving" && split && !scene.circles) this.scene.pace = given.world.speed_max; // the split's own
     const { noise, lost, late, sticky, pace } = this.scene;
-    const world = scene.task === "moving" ? { ...given.world, speed_max: pace } : given.world;
+    const speeds = { speed_min: Math.min(given.world.speed_min, pace), speed_max: pace };
+    const world = scene.task === "moving" ? { ...given.world, ...speeds } : given.world;
     this.task = new TASKS[scene.task]({ ...given, world }, { noise, lost, late, sticky });
     this.layout = split ? this.task.read(rowsOf(split, this.scene.layout)) : this.task.generate(scene);
     if (scene.circles) this.layout = this.task.arrange(this.layout, scene.circles, scene.layout);

@@ -34,10 +34,12 @@ class Stage {
     this.selected = -1; // the circle that keys and buttons change
     this.target = null; // [x, y] px where a held pointer is
     this.held = null; // what a drag of the selected circle does
+    this.touched = false; // by a finger or a pen, whose long press asks for a menu
     const listen = (name, act) => this.canvas.addEventListener(name, (event) => act.call(this, event, this.at(event)));
-    listen("pointerdown", this.press);
-    listen("pointermove", this.drag);
-    for (const name of ["pointerup", "pointercancel"]) listen(name, this.release);
+    const point = (name, act) => listen(name, (event, at) => event.isPrimary && act.call(this, event, at));
+    point("pointerdown", this.press);
+    point("pointermove", this.drag);
+    for (const name of ["pointerup", "pointercancel"]) point(name, this.release);
     listen("contextmenu", this.erase);
   }
 
@@ -50,6 +52,7 @@ class Stage {
   }
 
   press(event, point) {
+    this.touched = event.pointerType !== "mouse" && event.button === 0;
     if (event.button !== 0) return;
     this.element.focus({ preventScroll: true });
     this.canvas.setPointerCapture(event.pointerId);
@@ -110,8 +113,8 @@ class Stage {
   }
 
   erase(event, [x, y]) {
-    if (!this.drawing) return;
-    event.preventDefault();
+    if (this.drawing || this.touched) event.preventDefault();
+    if (!this.drawing || this.touched) return;
     this.selected = this.app.race.circles.findLastIndex(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) < radius);
     this.app.remove();
   }

@@ -7,7 +7,7 @@ ENGINE ?= engine=local
 .PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds longer ambiguities noise activations horizon learned tuning baselines policies report docs help notebooks layouts picture clean
 
 train: .venv/.installed
-	@echo "PPO with ReLU, 1,000,000 frames: one or two minutes, as the bar tells"
+	@echo "PPO with ReLU, 1,000,000 frames: a few minutes, as the bar tells"
 	$(BIN)/uavnav train ppo activation=relu
 	@echo "The commands above need: source .venv/bin/activate"
 

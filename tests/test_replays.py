@@ -212,7 +212,7 @@ def test_an_episode_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_
     monkeypatch.setattr(
         replays,
         "_layouts",
-        lambda task, split="test": above if isinstance(task.task, Goal) else layouts.load("test"),
+        lambda task, split: above if isinstance(task.task, Goal) else layouts.load(split)[:30],
     )
     goal, late = recorded(tmp_path, n_layouts=1)["configurations"]
     (episode,) = goal["episodes"]
@@ -242,6 +242,19 @@ def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
             circles = all_layouts[episode["layout"]].expand(len(x), -1, -1)
             clearance = sense(x, y, heading.long(), circles, World())[1]
             assert np.allclose(poses["clearance"][:, 0], clearance, atol=0.3)
+
+
+def test_on_a_rung_among_moving_obstacles_a_drone_flies_among_those_that_are_shown(tmp_path):
+    write_policies(tmp_path / "run", task="moving", n_seeds=1, layouts="density-20/train")
+    data = recorded(tmp_path, n_layouts=2)
+    (configuration,) = data["configurations"]
+    task = make_task("density-20/test", task="moving")
+    shown = torch.tensor([one["circles"] for one in configuration["place"]["layouts"]])
+    assert torch.equal(shown, task.layouts[:2])
+    for episode in configuration["episodes"]:
+        start = task.start(torch.tensor(episode["layout"]), torch.tensor(90))
+        clearance = unpack(episode, data["fields"])["clearance"][0, 0]
+        assert clearance == pytest.approx(float(task.observe(start)[1]), abs=0.06)
 
 
 def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_path, monkeypatch):

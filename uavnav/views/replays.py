@@ -127,7 +127,7 @@ def record(
                 if own == split
                 for seed, policy in population.items()
             ]
-            flown[split] = iter(fly(flyers, layouts.load(split)[:EPISODES], max_steps))
+            flown[split] = iter(fly(flyers, split, max_steps))
         task = WrappedTask(Task(world, all_layouts[:n_layouts], max_steps=max_steps))
         (scripted,) = _fly_together([Flyer(0, reactive, usual)], task)
     shown = []
@@ -252,7 +252,7 @@ def _load(configuration: Trained, n_seeds: int) -> tuple[dict[int, Policy], list
     return population, problems
 
 
-def _layouts(task: WrappedTask, split: str = "test") -> Tensor:
+def _layouts(task: WrappedTask, split: str) -> Tensor:
     """The layouts of the task's own test split, or of a rung's, that an evaluation flies."""
     return layouts.load(split, task.world)[:EPISODES]
 
@@ -290,8 +290,8 @@ class Flyer(NamedTuple):
     layouts: Sequence[int]
 
 
-def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[dict[str, Any]]]:
-    """The shown episodes of each policy, on layouts [L, K, 3] px or as many of its own world's.
+def fly(flyers: Sequence[Flyer], split: str, max_steps: int) -> list[list[dict[str, Any]]]:
+    """The shown episodes of each policy in its own task, on the layouts there of a test split or a rung's.
 
     All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others.
     """
@@ -300,9 +300,7 @@ def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[d
     for places in episodes.alike(policies):
         together = [flyers[place] for place in places]
         own_task = policies[places[0]].task
-        task = own_task.on(
-            layouts if type(own_task.task) is Task else _layouts(own_task)[: len(layouts)], max_steps
-        )
+        task = own_task.on(_layouts(own_task, split), max_steps)
         for place, own in zip(places, _fly_together(together, task), strict=True):
             found[place] = own
     return found

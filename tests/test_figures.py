@@ -63,7 +63,7 @@ def heights(band):
     return vertices.min().tolist(), vertices.max().tolist()
 
 
-def own_episodes(*paths, seed=0, mode="greedy"):
+def own_episodes(*paths, seed=0, mode="sampled"):
     """Behaviour of one seed, a path of (x, y) a layout; the last clearance is 20 px: a crash."""
     rows = [
         (seed, layout, step + 1, x, y, 90, 20.0 if step == len(path) - 1 else 60.0, 0, mode)
@@ -331,13 +331,13 @@ def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
     assert len(first.collections[0].get_paths()) == 2
     assert first.get_aspect() == 1.0
     assert drawn.alt == (
-        "Paths of drones, greedy, and their steps on layouts 0, 2: "
+        "Paths of drones, sampled, and their steps on layouts 0, 2: "
         "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 no crash, 5 no crash."
     )
 
 
 def test_paths_are_of_one_seed_and_mode():
-    others = pd.concat([PATHS.assign(seed=2), PATHS.assign(seed=1), PATHS.assign(mode="sampled")])
+    others = pd.concat([PATHS.assign(seed=2), PATHS.assign(seed=1), PATHS.assign(mode="greedy")])
     drawn = arena.trajectories({"PPO tanh": others, "DQN tanh": others}, LAYOUTS, [0], WORLD)
     assert len(drawn.figure.axes) == 2
     assert len(drawn.figure.axes[0].lines[0].get_xydata()) == 3
@@ -374,7 +374,7 @@ def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
         columns=["who", "mode", "limit", "n", "reward", "low", "high"],
     )
     seeds = pd.DataFrame({"algorithm": "ppo", "activation": ["tanh"] * 2, "value": [3.0, 5.0]})
-    figure = figures._first(seeds.assign(definition=SAMPLED, metric="reward"), gaps, style.WIDTH)
+    figure = figures._first(seeds.assign(definition=SAMPLED, metric="reward"), gaps)
     assert figure.drawn.alt == "reward per test episode: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
     assert "after 10,000 steps" in figure.caption
 

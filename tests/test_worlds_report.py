@@ -175,17 +175,19 @@ def test_a_ladder_is_drawn_for_configurations_of_the_papers_world_and_for_script
     }
     # one rung was not flown
     scripted = {("density", rung): {"reactive": seeds([50.0 + rung])} for rung in rungs[1:]}
-    drawn = worlds.ladder(Worlds(learned, {}, scripted, *NOTHING[2:]), "density")
+    climbed = worlds.ladder(Worlds(learned, {}, scripted, *NOTHING[2:]), "density")
+    drawn = worlds.figure(climbed, "density")
     lines = {line.get_label(): line for line in drawn.figure.axes[0].lines}
     assert [*lines] == ["PPO", "reactive"]
     assert lines["PPO"].get_xydata().tolist() == [[rung, 100.0 - rung] for rung in rungs]
     assert lines["reactive"].get_xydata().tolist() == [[rung, 50.0 + rung] for rung in rungs[1:]]
-    assert worlds.ladder(Worlds(learned, *NOTHING), "slalom") is None
+    assert worlds.ladder(Worlds(learned, *NOTHING), "slalom").empty
     own = learned["drone", "ppo", "tanh"]
     seven = [("drone", one, "tanh") for one in ("ppo", "dqn", "a2c", "c51", "sac")]
     seven += [("drone, fast", one, "tanh") for one in ("ppo", "dqn")]
     all_of_them = Worlds(dict.fromkeys(seven, own), {}, scripted, *NOTHING[2:])
-    lines = {line.get_label(): line for line in worlds.ladder(all_of_them, "density").figure.axes[0].lines}
+    drawn = worlds.figure(worlds.ladder(all_of_them, "density"), "density")
+    lines = {line.get_label(): line for line in drawn.figure.axes[0].lines}
     assert (lines["PPO"].get_color(), lines["DQN"].get_color()) == (PILOTS["ppo"], PILOTS["dqn"])
     assert len({line.get_color() for line in lines.values()}) == len(lines) == 8
 

@@ -20,7 +20,7 @@ from uavnav.report import charts
 from uavnav.report.apart import evaluations
 from uavnav.report.configurations import one_line
 from uavnav.report.frames import NUMBERS, Rows, columns, name
-from uavnav.report.verdicts import ALPHA, SEEDS
+from uavnav.report.verdicts import ALPHA, OPEN, SEEDS
 from uavnav.runs import Run
 from uavnav.runs.definitions import per_frame
 from uavnav.runs.tables import RunError
@@ -37,7 +37,7 @@ MARGINS = {("ppo", REWARD): 5.3, ("dqn", REWARD): 4.4, ("ppo", FINAL): 24.0, ("d
 """Half of what parts the best and the worst of the paper's activations in the study `paper`, which was read
 before: 10.6 and 8.9 per 1,000 frames, 48 and 11 an episode.
 """
-RELEVANT, IRRELEVANT, OPEN = "relevant", "irrelevant", "open"
+LAYER_NORM = {False: "without LayerNorm", True: "with LayerNorm"}
 
 
 class Where(NamedTuple):
@@ -120,8 +120,8 @@ def widest(samples: Sequence[Array], margin: float) -> list[object]:
     units = np.eye(len(samples))
     found = stats.welch(samples, np.array([units[one] - units[other] for one, other in pairs]))
     low, high = found.lower(ALPHA / len(pairs)), found.upper(ALPHA / len(pairs))
-    verdict = RELEVANT if (low > margin).any() else OPEN
-    verdict = IRRELEVANT if (found.upper(ALPHA) < margin).all() else verdict
+    equal = (found.upper(ALPHA) < margin).all()
+    verdict = "irrelevant" if equal else "relevant" if (low > margin).any() else OPEN
     place = int(found.value.argmax())
     best, worst = (COMPARED[one] for one in pairs[place])
     return [verdict, best, worst, *(float(one[place]) for one in (found.value, low, high))]
@@ -140,22 +140,15 @@ def carried(measured: Measured) -> Rows:
 def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward per 1,000 frames by activation, a panel an algorithm, with and without LayerNorm."""
     shown = found[found["measure"] == REWARD]
-    panels = [*shown.groupby("algorithm", sort=False)]
-    looks = {False: ("o", style.INK, "without LayerNorm"), True: ("D", style.CLEAR, "with LayerNorm")}
-    wide, said = width >= style.WIDTH, []
-    drawn, grid = charts.panels(len(panels), len(panels) if wide else 1, 4.2, width, sharey=True)
-    for axes, (algorithm, panel) in zip(grid, panels, strict=True):
-        for layer_norm, part in panel.groupby("layer_norm"):
-            marker, colour, _ = looks[bool(layer_norm)]
-            rows = part["activation"].map(COMPARED.index) + (0.15 if layer_norm else -0.15)
-            axes.errorbar(part["value"], rows, xerr=charts.errors(part), fmt=marker, color=colour, capsize=3)
-            top = part.loc[part["value"].idxmax()]
-            best = f"{top['activation']} {style.number(top['value'])}"
-            said.append(f"{algorithm.upper()} {looks[bool(layer_norm)][2]}, {best}")
-        style.name_rows(axes, [one.replace("_", " ") for one in COMPARED])
-        axes.set_title(algorithm.upper())
-        axes.set_xlabel(REWARD)
-    drawn_looks = [looks[bool(one)] for one in sorted(shown["layer_norm"].unique())]
-    handles = [style.mark(marker, label, markerfacecolor=one) for marker, one, label in drawn_looks]
-    style.legend(drawn, handles)
+    panels = {str(one).upper(): panel for one, panel in shown.groupby("algorithm", sort=False)}
+    columns = len(panels) if width >= style.WIDTH else 1
+    drawn, grid = charts.panels(len(panels), columns, 4.2, width, sharey=True)
+    words = {one: LAYER_NORM[one] for one in sorted({*shown["layer_norm"]})}
+    charts.switched(drawn, grid, panels, "activation", "layer_norm", words, REWARD, COMPARED)
+    best = shown.loc[shown.groupby(["algorithm", "layer_norm"], sort=False)["value"].idxmax()]
+    said = [
+        f"{one['algorithm'].upper()} {LAYER_NORM[one['layer_norm']]}, {one['activation']}"
+        f" {style.number(one['value'])}"
+        for one in best.to_dict("records")
+    ]
     return style.Drawn(drawn, f"The most {REWARD}: {'; '.join(said)}.")

@@ -18,6 +18,7 @@ from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from uavnav import style
+from uavnav.report.configurations import MODE
 from uavnav.stats import Array
 from uavnav.tasks.world import World
 
@@ -28,18 +29,17 @@ def trajectories(
     all_layouts: Array,
     layouts: Sequence[int],
     world: World,
-    mode: str = "greedy",
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """Paths of each configuration's first seed, as the paper's figures 6 and 7: a row a layout.
+    """Sampled paths of each configuration's first seed, as the paper's figures 6 and 7: a row a layout.
 
     tables: label -> rows of `behaviour.COLUMNS`; all_layouts: [L, K, 3] px; layouts: places in them;
     width: [inches].
     """
-    of_mode = {name: rows[rows["mode"] == mode] for name, rows in tables.items()}
+    of_mode = {name: rows[rows["mode"] == MODE] for name, rows in tables.items()}
     one = {name: rows[rows["seed"] == rows["seed"].min()] for name, rows in of_mode.items()}
     if not layouts or not any(len(rows) for rows in one.values()):
-        return style.nothing(f"Paths of drones, {mode}")
+        return style.nothing(f"Paths of drones, {MODE}")
     height = len(layouts) * ((width - 0.5) / len(one) * world.height / world.width + 0.27) + 0.45 + 0.5
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04))
     panels = figure.subplots(len(layouts), len(one), squeeze=False)
@@ -76,7 +76,7 @@ def trajectories(
     style.legend(figure, handles, 4)
     shown = ", ".join(map(str, layouts))
     return style.Drawn(
-        figure, f"Paths of drones, {mode}, and their steps on layouts {shown}: {'; '.join(said)}."
+        figure, f"Paths of drones, {MODE}, and their steps on layouts {shown}: {'; '.join(said)}."
     )
 
 

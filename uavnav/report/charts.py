@@ -138,6 +138,37 @@ def errors(rows: pd.DataFrame, ends: Sequence[str] = ("low", "high")) -> Array:
     return np.asarray(np.nan_to_num(lengths))
 
 
+SWITCHED = ("o", style.INK), ("D", style.CLEAR)
+"""Marks and colours of what is off and on."""
+
+
+def switched(
+    figure: Figure,
+    grid: Sequence[Axes],
+    panels: Mapping[str, pd.DataFrame],
+    row: str,
+    switch: str,
+    words: Mapping[bool, str],
+    axis: str,
+    names: Sequence[str] = (),
+) -> None:
+    """Values with their intervals: a row a value of one column, off and on of another column side by side.
+
+    panels: by title, in the order of grid; words: for off and on; axis: the value in words; names: the
+    rows of all panels, by default those of each.
+    """
+    for axes, (title, table) in zip(grid, panels.items(), strict=True):
+        rows = [*(names or dict.fromkeys(table[row]))]
+        for on, part in table.groupby(switch):
+            marker, colour = SWITCHED[bool(on)]
+            at = part[row].map(rows.index) + (0.15 if on else -0.15)
+            axes.errorbar(part["value"], at, xerr=errors(part), fmt=marker, color=colour, capsize=3)
+        style.name_rows(axes, [name.replace("_", " ") for name in rows])
+        axes.set(title=title, xlabel=axis)
+    looks = [(*SWITCHED[bool(on)], label) for on, label in words.items()]
+    style.legend(figure, [style.mark(mark, label, markerfacecolor=one) for mark, one, label in looks])
+
+
 FARTHEST = 2.0
 """A forest plot ends at so many times the paper's effect, on both sides."""
 
@@ -166,8 +197,8 @@ def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             if side * end > FARTHEST:
                 axes.plot(side * FARTHEST, row, marker, markersize=8, clip_on=False, **look)
         if abs(ratio) <= FARTHEST:
-            inside: dict[str, Any] = {"markerfacecolor": "white"} if place else {}
-            axes.plot(ratio, row, "o", markersize=8, markeredgewidth=1.8, zorder=4, **look, **inside)
+            look["markerfacecolor"] = "white" if place else None
+            axes.plot(ratio, row, "o", markersize=8, markeredgewidth=1.8, zorder=4, **look)
         said.append(f"{name}, {column}: {style.said(Interval(ratio, low, high, 1)).replace('; n = 1', '')}")
     axes.set_xlim(-FARTHEST, FARTHEST)
     style.name_rows(axes, names)
@@ -175,9 +206,7 @@ def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         axes.set_yticks(range(len(names)), [textwrap.fill(name, 17) for name in names])
     axes.set_xlabel("our effect ÷ the paper's")
     handles = [
-        style.mark(
-            "o", column, markersize=8, markeredgewidth=1.8, **({"markerfacecolor": "white"} if place else {})
-        )
+        style.mark("o", column, markersize=8, markeredgewidth=1.8, markerfacecolor="white" if place else None)
         for place, column in enumerate(columns)
     ]
     handles.append(Line2D([], [], color=style.PALE, linewidth=2.2, label="does not count"))
@@ -205,9 +234,10 @@ def curves(
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     colours, ends = {}, []
-    for name, (colour, dashes) in (looks or dict(style.coloured(configurations))).items():
-        line, n = band(configurations[name].curve), configurations[name].n_seeds
-        legend = textwrap.fill(f"{name}, n = {n}", 50)
+    looks = looks or dict(style.coloured(configurations))
+    for name, configuration in configurations.items():
+        line, (colour, dashes) = band(configuration.curve), looks[name]
+        legend = textwrap.fill(f"{name}, n = {configuration.n_seeds}", 50)
         axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=1.8, label=legend)
         _shade(axes, line, colour)
         if name in printed:
@@ -311,8 +341,9 @@ def survival(
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     most, said = max(float(shares.index.max()) for shares in curves.values()), []
-    for name, (colour, dashes) in (looks or dict(style.coloured(curves))).items():
-        shares = curves[name]
+    looks = looks or dict(style.coloured(curves))
+    for name, shares in curves.items():
+        colour, dashes = looks[name]
         seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
         seen.iloc[[0, -1]] = True
         look = (

@@ -18,7 +18,7 @@ from rich.table import Table
 from uavnav import stats, style
 from uavnav.errors import did_you_mean
 from uavnav.report import charts, configurations, tables
-from uavnav.report.configurations import Configuration
+from uavnav.report.configurations import MODE, Configuration
 from uavnav.report.frames import Rows, columns
 from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
@@ -31,14 +31,10 @@ from uavnav.tasks.world import World
 if TYPE_CHECKING:
     from uavnav.tasks.wrapper import WrappedTask
 
-MODE = "sampled"
-"""As a policy acts at the end of training."""
 MARKS = (100, 1_000, 10_000)
 """Steps after which the episodes that go on are counted."""
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
 """Fields of a `World` that are the drone's own: neither layouts nor rewards depend on them."""
-WIDTHS = style.WIDTH, style.NARROW
-"""Of a figure on a page and on a phone."""
 
 
 class Contender(NamedTuple):
@@ -185,6 +181,11 @@ def apart(contenders: Sequence[Contender]) -> str:
     return ""
 
 
+def trainings(contenders: Sequence[Contender]) -> dict[str, Configuration]:
+    """The configurations of those that were trained here, by name."""
+    return {one.name: one.configuration for one in contenders if one.configuration is not None}
+
+
 def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
     """The metrics of every seed, by contender."""
     return {one.name: per_seed(one.episodes).join(own(one.episodes)) for one in contenders}
@@ -195,15 +196,15 @@ def metrics(contenders: Sequence[Contender]) -> Rows:
     """Mean and 95 % interval over seeds of each metric."""
     for name, table in seeds_of(contenders).items():
         for metric in METRICS:
-            found = stats.interval(table[metric].dropna().to_numpy())
+            found = stats.interval(table[metric].to_numpy())
             yield name, metric, found.n, *found[:3]
 
 
 def of_episodes(values: pd.Series, seeds: pd.Series) -> tuple[stats.Interval, str]:
     """A mean of episodes with its 95 % interval over seeds, or over the episodes of one seed; and which."""
     means = values.groupby(seeds).mean()
-    over = "seeds" if len(means) > 1 else "episodes"
-    return stats.interval((means if len(means) > 1 else values).to_numpy(np.float64)), over
+    found, over = (means, "seeds") if len(means) > 1 else (values, "episodes")
+    return stats.interval(found.to_numpy(np.float64)), over
 
 
 def ahead(one: Contender, other: Contender) -> tuple[stats.Interval, str]:
@@ -303,13 +304,10 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         console.print(f"{a} minus {b}: {more} of reward, over {over}{beats * (p != tables.NOTHING)}")
     if told := caution(contenders):
         console.print(told)
-    for one in contenders:
-        if one.configuration is not None:
-            line = charts.band(one.configuration.curve)["mean"]
-            ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
-            console.print(
-                f"{one.name}: reward per frame in training {sparkline(line.fillna(0.0).tolist())} {ends}"
-            )
+    for name, one in trainings(contenders).items():
+        line = charts.band(one.curve)["mean"]
+        ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
+        console.print(f"{name}: reward per frame in training {sparkline(line.fillna(0.0).tolist())} {ends}")
 
 
 def page(contenders: Sequence[Contender]) -> bytes:
@@ -317,20 +315,17 @@ def page(contenders: Sequence[Contender]) -> bytes:
     from uavnav.report import templating
     from uavnav.views import replays
 
-    learned = {one.name: one.configuration for one in contenders if one.configuration is not None}
+    learned = trainings(contenders)
     looks = style.of_pilots({one.name: one.pilot for one in contenders})
     shown = [
         replays.Trained(one.algorithm, f"({name})", one.runs, colour=looks[name][0])
         for name, one in learned.items()
     ]
     recorded = replays.record(shown, n_seeds=1)
-    kept = survival(contenders), contenders[0].protocol["max_steps"]
-    wide, narrow = (charts.survival(*kept, width, looks) for width in WIDTHS)
-    figures = [templating.Figure("survival", "", wide, "", narrow)]
+    args = survival(contenders), contenders[0].protocol["max_steps"]
+    figures = [templating.sized("survival", "", "", charts.survival, *args, looks=looks)]
     if learned:
-        mine = {name: looks[name] for name in learned}
-        wide, narrow = (charts.curves(learned, {}, width=width, looks=mine) for width in WIDTHS)
-        figures.append(templating.Figure("curves", "", wide, "", narrow))
+        figures.append(templating.sized("curves", "", "", charts.curves, learned, {}, looks=looks))
     page = templating.page(
         "compare.html",
         {},

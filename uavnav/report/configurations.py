@@ -39,6 +39,8 @@ BINS = 25
 APART = ("worlds", "longer", "ambiguities", "noise", "activations", "horizon", "learned")
 """Folders, in a report's, of the studies of these names, which modules of their own read."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
+MODE = MODES[1]
+"""How a policy acts at the end of training: what a report shows where it does not say greedy."""
 NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
 """Settings that every section names, besides those in which configurations differ."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)

@@ -11,7 +11,6 @@ from typing import Any
 
 import pandas as pd
 
-from uavnav import style
 from uavnav.evaluation import EMPTY_ARENA
 from uavnav.report import (
     activations,
@@ -55,9 +54,7 @@ from uavnav.tasks.world import World
 from uavnav.training import machine
 from uavnav.views import replays
 
-Place = tuple[str, str, str]
-"""Study, algorithm and activation."""
-Episodes = dict[Place, pd.DataFrame]
+Episodes = dict[whys.Place, pd.DataFrame]
 WATCHED = ("main", "baseline", "initial")
 """Studies whose episodes are measured."""
 
@@ -210,17 +207,14 @@ def gather(
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
         tell("drawing figures")
-        drawn, narrow = (
-            figures.draw(of_paper, numbers, watched, survival, of_worlds, width)
-            for width in (style.WIDTH, style.NARROW)
-        )
+        drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
         tell("flying episodes for the replays")
         flown = replayed.result()
     return Content(
         configurations,
         dealt,
         numbers,
-        [one._replace(narrow=other.drawn) for one, other in zip(drawn, narrow, strict=True)],
+        drawn,
         flown if flown["configurations"] else None,
         baselines,
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),

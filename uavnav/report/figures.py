@@ -11,15 +11,14 @@ from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
 from uavnav.report import activations, arena, behaviour, charts, horizon, learned, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
-from uavnav.report.configurations import algorithms
+from uavnav.report.configurations import MODE, Key, algorithms
 from uavnav.report.frames import REACTIVE, least_to_most, name
 from uavnav.report.studies import Configurations
-from uavnav.report.templating import Figure
+from uavnav.report.templating import Figure, sized
 from uavnav.report.verdicts import COUNTS
 from uavnav.report.worlds import Worlds
 from uavnav.runs import paper
 from uavnav.runs.definitions import PER_FRAME, SAMPLED, words
-from uavnav.runs.metrics import MODES
 from uavnav.stats import Array, Interval
 from uavnav.tasks import layouts
 from uavnav.tasks.protocol import MAX_STEPS
@@ -47,37 +46,36 @@ def draw(
     numbers: Mapping[str, pd.DataFrame],
     episodes: Mapping[tuple[str, str, str], pd.DataFrame],
     survival: Mapping[str, pd.Series],
-    of_worlds: Worlds | None = None,
-    width: float = style.WIDTH,
+    of_worlds: Worlds | None,
 ) -> list[Figure]:
-    """All figures, in the order of the page; width: of each [inches].
+    """All figures, in the order of the page.
 
     configurations: of the paper's activations in the main study; numbers: the report's tables by name;
     episodes: steps by study, algorithm and activation; survival: curves by configuration.
     """
     flown = {key[1:]: table for key, table in episodes.items() if key[0] == "main"}
     found = [
-        _first(numbers["seeds"], numbers["gaps"], width),
-        _forest(numbers["verdicts"], width),
-        *_curves(configurations, width),
-        _training(numbers["seeds"], numbers["gaps"], width),
-        *_paths(flown, width),
-        *_places(flown, width),
-        _survival(configurations, numbers["survival"], survival, width),
+        _first(numbers["seeds"], numbers["gaps"]),
+        _forest(numbers["verdicts"]),
+        *_curves(configurations),
+        _training(numbers["seeds"], numbers["gaps"]),
+        *_paths(flown),
+        *_places(flown),
+        _survival(configurations, numbers["survival"], survival),
     ]
-    if of_worlds and (density := worlds.ladder(of_worlds, "density", width)):
+    if of_worlds and len(climbed := worlds.ladder(of_worlds, "density")):
         caption = (
             "The density ladder: policies trained in the paper's task, means over activations with Welch's"
             " 95 % intervals over seeds. Dotted and dashed: scripted policies."
         )
-        found.append(Figure("worlds-density", "worlds", density, caption))
+        found.append(sized("worlds-density", "worlds", caption, worlds.figure, climbed, "density"))
     for one, caption in FURTHER.items():
         if one.STUDY in numbers:
-            found.append(Figure(one.STUDY, one.STUDY, one.figure(numbers[one.STUDY], width), caption))
+            found.append(sized(one.STUDY, one.STUDY, caption, one.figure, numbers[one.STUDY]))
     return found
 
 
-def _forest(verdicts: pd.DataFrame, width: float) -> Figure:
+def _forest(verdicts: pd.DataFrame) -> Figure:
     """The effects on reward that the paper prints, by both ways of averaging training."""
     rows = []
     known = verdicts.set_index(["claim", "column", "text"]).to_dict("index")
@@ -92,7 +90,7 @@ def _forest(verdicts: pd.DataFrame, width: float) -> Figure:
         "below 0 the other way round. Bars: 95 % intervals over seeds, adjusted within a claim; arrows go on."
         " Grey: the paper's effect is too small for so many seeds."
     )
-    return Figure("forest", "verdicts", charts.forest(table, width), caption)
+    return sized("forest", "verdicts", caption, charts.forest, table)
 
 
 def _of_reactive(gaps: pd.DataFrame, column: str) -> float:
@@ -100,7 +98,7 @@ def _of_reactive(gaps: pd.DataFrame, column: str) -> float:
     return float(next(iter(gaps.loc[gaps["who"] == REACTIVE, column]), np.nan))
 
 
-def _curves(configurations: Configurations, width: float) -> list[Figure]:
+def _curves(configurations: Configurations) -> list[Figure]:
     found = []
     for algorithm in dict.fromkeys([*paper.TABLE_OF, *algorithms(configurations)]):
         mine = {key[1]: one for key, one in configurations.items() if key[0] == algorithm}
@@ -115,37 +113,37 @@ def _curves(configurations: Configurations, width: float) -> list[Figure]:
             f"{dashed}."
         )
         known = {name: mean for name, mean in printed.items() if np.isfinite(mean)}
-        drawn = charts.curves(mine, known, f"{algorithm.upper()}: ", width)
-        found.append(Figure(f"curves-{algorithm}-reward", "curves", drawn, caption))
+        args = mine, known, f"{algorithm.upper()}: "
+        found.append(sized(f"curves-{algorithm}-reward", "curves", caption, charts.curves, *args))
     return found
 
 
-def _training(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
+def _training(values: pd.DataFrame, gaps: pd.DataFrame) -> Figure:
     """Configurations side by side by their reward in training."""
     earned = _of_reactive(gaps, "per_frame")
     printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
     caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
     if np.isfinite(earned):
         caption += f" Dashed: the scripted policy `{REACTIVE}` on the test layouts."
-    drawn = charts.intervals(_rewards(values, PRIMARY), printed, words("reward", PRIMARY), earned, width)
-    return Figure("configurations-reward", "tables", drawn, caption)
+    args = _rewards(values, PRIMARY), printed, words("reward", PRIMARY), earned
+    return sized("configurations-reward", "tables", caption, charts.intervals, *args)
 
 
-def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
+def _first(values: pd.DataFrame, gaps: pd.DataFrame) -> Figure:
     """The first screen's figure, as wide as the page: reward of test episodes, the scripted policy's too."""
-    seeds, sampled = _rewards(values, SAMPLED), gaps[gaps["mode"] == MODES[1]]
+    seeds, sampled = _rewards(values, SAMPLED), gaps[gaps["mode"] == MODE]
     known = sampled[sampled["who"].isin(seeds)].set_index("who")[["reward", "low", "high", "n"]]
     rows = {str(who): (seeds[str(who)], Interval(*one)) for who, *one in known.itertuples()}
-    full = style.FULL if width >= style.WIDTH else width
     looks = {label: (style.of_pilot(label), "-") for label in rows}
-    drawn = charts.episodes(rows, looks, _of_reactive(gaps, "reward"), "reward per test episode", full)
     limits = sampled["limit"].dropna()
     limit = f" Episodes end at a collision, or after {limits.max():,.0f} steps." if len(limits) else ""
     caption = (
         "A small dot is the final policy of a training run, a large dot the mean of its row, a bar the mean's"
         " 95 % interval."
     )
-    return Figure("configurations-episodes", "first", drawn, f"{caption}{limit} The paper: {paper.TITLE}.")
+    caption = f"{caption}{limit} The paper: {paper.TITLE}."
+    args = rows, looks, _of_reactive(gaps, "reward"), "reward per test episode"
+    return sized("configurations-episodes", "first", caption, charts.episodes, *args, wide=style.FULL)
 
 
 def _rewards(values: pd.DataFrame, definition: str) -> dict[str, Array]:
@@ -156,25 +154,24 @@ def _rewards(values: pd.DataFrame, definition: str) -> dict[str, Array]:
     return {name(*map(str, key)): part.dropna().to_numpy() for key, part in by}
 
 
-def _paths(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[Figure]:
+def _paths(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:
     chosen = {key: table for key, table in flown.items() if key[1] == SHOWN_ACTIVATION}
     shown = {name(*key): table[table["layout"] >= 0] for key, table in chosen.items()}
     if not shown:
         return []
-    all_layouts = layouts.load("test").numpy()
-    drawn = arena.trajectories(shown, all_layouts, SHOWN_LAYOUTS, World(), mode="sampled", width=width)
     caption = (
         f"As the paper's Figures {' and '.join(map(str, paper.PATHS))}: the first seed's episodes on"
         f" {len(SHOWN_LAYOUTS)} test layouts, at most {WATCHED_STEPS} steps, as in training (sampled), with"
         f" {SHOWN_ACTIVATION}. The replays below show the others."
     )
-    return [Figure("trajectories", "episodes", drawn, caption)]
+    args = shown, layouts.load("test").numpy(), SHOWN_LAYOUTS, World()
+    return [sized("trajectories", "episodes", caption, arena.trajectories, *args)]
 
 
-def _places(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[Figure]:
+def _places(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:
     """Heat maps, a panel an algorithm."""
-    chosen = "mode == 'sampled' and layout >= 0"
-    sampled = {key: part for key, table in flown.items() if len(part := table.query(chosen))}
+    chosen = {key: table[(table["mode"] == MODE) & (table["layout"] >= 0)] for key, table in flown.items()}
+    sampled = {key: table for key, table in chosen.items() if len(table)}
     if not sampled:
         return []
     heat = {key: behaviour.heat(table, World()) for key, table in sampled.items()}
@@ -188,11 +185,11 @@ def _places(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list
         f"Where the drones are on {WATCHED_LAYOUTS} test layouts: share of steps in each square, of every"
         f" seed and activation alike ({activations} activations, {n} each)."
     )
-    return [Figure("heat", "behaviour", arena.heat_maps(maps, World(), width), caption)]
+    return [sized("heat", "behaviour", caption, arena.heat_maps, maps, World())]
 
 
 def _survival(
-    configurations: Configurations, means: pd.DataFrame, survival: Mapping[str, pd.Series], width: float
+    configurations: Configurations, means: pd.DataFrame, survival: Mapping[str, pd.Series]
 ) -> Figure:
     """How long episodes last; means: as `frames.survival` gives them."""
     counted = means.set_index("configuration")["n"]
@@ -203,4 +200,4 @@ def _survival(
         "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and"
         " is no collision. Sampled."
     )
-    return Figure("survival", "statistics", charts.survival(episodes, MAX_STEPS, width), caption)
+    return sized("survival", "statistics", caption, charts.survival, episodes, MAX_STEPS)

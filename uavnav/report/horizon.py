@@ -73,9 +73,5 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         style.mark(marker, f"γ = {gamma:g}", markerfacecolor=colour, markeredgecolor=colour)
         for gamma, (colour, marker) in looks.items()
     ]
-    style.legend(
-        drawn,
-        [*handles, style.scripted_mark()],
-        4,
-    )
+    style.legend(drawn, [*handles, style.scripted_mark()], 4)
     return style.Drawn(drawn, f"Reward after the longest training: {'; '.join(said)}.")

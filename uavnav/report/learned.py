@@ -110,21 +110,14 @@ def listed(found: pd.DataFrame, where: str) -> pd.DataFrame:
 @matplotlib.rc_context(style.STYLE)
 def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward per episode by policy: a panel a task, without and with the shield."""
-    panels = [*found[found["measure"] == "reward"].groupby("place", sort=False)]
+    rewards = found[found["measure"] == "reward"]
+    panels = {str(where): panel for where, panel in rewards.groupby("place", sort=False)}
     drawn, grid = charts.panels(len(panels), 2 if width >= style.WIDTH else 1, 2.9, width)
-    looks = {False: ("o", style.INK, "as it is"), True: ("D", style.CLEAR, "under the shield")}
-    said = []
-    for axes, (where, panel) in zip(grid, panels, strict=True):
-        names = [*dict.fromkeys(panel["who"])]
-        for shield, part in panel.groupby("shield"):
-            marker, colour, _ = looks[bool(shield)]
-            at = part["who"].map(names.index) + (0.15 if shield else -0.15)
-            axes.errorbar(part["value"], at, xerr=charts.errors(part), fmt=marker, color=colour, capsize=3)
-        top = panel.loc[panel["value"].idxmax()]
-        said.append(f"{where}: {top['who']}{' + shield' * bool(top['shield'])} {style.number(top['value'])}")
-        style.name_rows(axes, names)
-        axes.set_title(where)
-        axes.set_xlabel("reward per episode")
-    handles = [style.mark(marker, label, markerfacecolor=one) for marker, one, label in looks.values()]
-    style.legend(drawn, handles)
+    words = {False: "as it is", True: "under the shield"}
+    charts.switched(drawn, grid, panels, "who", "shield", words, "reward per episode")
+    best = rewards.loc[rewards.groupby("place", sort=False)["value"].idxmax()]
+    said = [
+        f"{one['place']}: {one['who']}{' + shield' * one['shield']} {style.number(one['value'])}"
+        for one in best.to_dict("records")
+    ]
     return style.Drawn(drawn, f"The most reward per episode: {'; '.join(said)}.")

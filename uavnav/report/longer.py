@@ -116,9 +116,5 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     handles = [
         style.mark("o", name, markerfacecolor=style.COLOURS[name]) for name in shown["activation"].unique()
     ]
-    style.legend(
-        drawn,
-        [*handles, style.scripted_mark()],
-        3,
-    )
+    style.legend(drawn, [*handles, style.scripted_mark()], 3)
     return style.Drawn(drawn, f"Reward on test layouts after the longest training: {'; '.join(said)}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.frames import REACTIVE, least_to_most
-from uavnav.report.templating import Figure
+from uavnav.report.templating import Figure, sized
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
 from uavnav.runs.evaluations import Protocol, usual
@@ -205,20 +204,18 @@ def _group(
     if scripted is not None:
         reward, sums = scripted.reward[0].value, scripted.episodes[["reward", "steps"]].sum()
         earned = sums["reward"] / sums["steps"]
-    learned = {one.name: one.configuration for one in members if one.configuration is not None}
-    task = str(members[0].place["task"])
+    learned, task = compare.trainings(members), str(members[0].place["task"])
     figures = []
     if rows:
-        draw = functools.partial(charts.episodes, rows, looks, reward, "reward of a test episode")
+        args = rows, looks, reward, "reward of a test episode"
         words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
-        figures.append(Figure(f"ranking-{place + 1}", "runs", draw(), words, draw(width=style.NARROW)))
+        figures.append(sized(f"ranking-{place + 1}", "runs", words, charts.episodes, *args))
     if any(len(one.episodes) for one in learned.values()):
-        mine = {name: looks[name] for name in learned}
-        draw = functools.partial(charts.curves, learned, {}, looks=mine, scripted=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
-        figures.append(Figure(f"curves-{place + 1}", "runs", draw(), words, draw(width=style.NARROW)))
+        name, draw = f"curves-{place + 1}", charts.curves
+        figures.append(sized(name, "runs", words, draw, learned, {}, looks=looks, scripted=earned))
     how = compare.flown(ordered) if flown else "no test episodes yet"
     return Group(
         TITLES.get(task, task).capitalize(),
@@ -303,22 +300,19 @@ def _best(first: Group, paths: Mapping[str, Path]) -> str:
 def differences(contenders: Sequence[Contender]) -> tables.Rows:
     """What every run was trained with, and how it differs from its preset or from peers of its `KIND`."""
     named = ["algorithm", "activation", "preset", "task", "frames", "n_envs"]
+    trained = compare.trainings(contenders)
     known = {
-        one.name: {"algorithm": one.pilot, "activation": one.configuration.activation}
-        | one.configuration.settings
-        for one in contenders
-        if one.configuration is not None
+        name: {"algorithm": one.algorithm, "activation": one.activation} | one.settings
+        for name, one in trained.items()
     }
     rows = [["run", *named, "and else"]]
-    for one in contenders:
-        own = known[one.name]
+    for name, own in known.items():
         kind = [own.get(key) for key in KIND]
         peers = [other for other in known.values() if [other.get(key) for key in KIND] == kind]
-        runs = one.configuration.runs if one.configuration is not None else []
-        beyond = {key for run in runs for key in run.meta["beyond_preset"]} - {"layouts"}
+        beyond = {key for run in trained[name].runs for key in run.meta["beyond_preset"]} - {"layouts"}
         differ = beyond | {key for key in own if len({show(peer.get(key)) for peer in peers}) > 1}
         told = (f"{key}={show(own.get(key))}" for key in sorted(differ.difference(named, NOT_SAID)))
-        rows.append([one.name, *(show(own.get(key)) for key in named), ", ".join(told) or tables.NOTHING])
+        rows.append([name, *(show(own.get(key)) for key in named), ", ".join(told) or tables.NOTHING])
     return rows
 
 
@@ -342,14 +336,10 @@ def _typical(contenders: Sequence[Contender], looks: Looks) -> tuple[dict[str, A
     """The replay of each run's median episode by reward; its first one where it was not evaluated."""
     shown = []
     for one in contenders:
-        if one.configuration is None or not one.configuration.runs:
-            continue
-        seed, layout = typical(one.episodes) if len(one.episodes) else (None, 0)
-        shown.append(
-            replays.Trained(
-                one.pilot, f"({one.name})", one.configuration.runs, seed, [layout], looks[one.name][0]
-            )
-        )
+        if one.configuration is not None and (runs := one.configuration.runs):
+            seed, layout = typical(one.episodes) if len(one.episodes) else (None, 0)
+            colour = looks[one.name][0]
+            shown.append(replays.Trained(one.pilot, f"({one.name})", runs, seed, [layout], colour))
     recorded = replays.record(shown, n_seeds=1, n_layouts=1)
     return recorded if recorded["configurations"] else None, recorded["left_out"]
 

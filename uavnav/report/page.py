@@ -26,7 +26,7 @@ from uavnav.report import (
     worlds,
 )
 from uavnav.report.claims import PRIMARY
-from uavnav.report.configurations import BINS, label
+from uavnav.report.configurations import BINS, MODE, label
 from uavnav.report.content import Content
 from uavnav.report.mine import Mine
 from uavnav.report.quotes import STUDY, prose
@@ -35,7 +35,7 @@ from uavnav.report.templating import page as fill
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, SAMPLED
-from uavnav.runs.metrics import LAST, MODES
+from uavnav.runs.metrics import LAST
 from uavnav.style import SCRIPTED_NAME, save
 from uavnav.tasks.world import World
 from uavnav.views.replays import paths, together
@@ -191,7 +191,7 @@ def sections(content: Content) -> list[tuple[str, str]]:
 def first_episodes(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can, and the scripted policy."""
     gaps = content.tables["gaps"]
-    flown = gaps[(gaps["mode"] == MODES[1]) & gaps["algorithm"].isin(paper.TABLE_OF)]
+    flown = gaps[(gaps["mode"] == MODE) & gaps["algorithm"].isin(paper.TABLE_OF)]
     flown = flown.sort_values("reward", ascending=False).drop_duplicates("algorithm")
     configurations = {who: tables.in_words(who) for who in flown["who"]}
     shown = together(content.replays, configurations, SCRIPTED_NAME) if content.replays else None

@@ -16,7 +16,7 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import COMPARED, NAMES
-from uavnav.report.configurations import Configuration, episodes_of, one_line, show
+from uavnav.report.configurations import MODE, Configuration, episodes_of, one_line, show
 from uavnav.report.frames import NUMBERS, REACTIVE, estimates, name, per_seed_values
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
@@ -32,7 +32,7 @@ from uavnav.report.verdicts import (
 )
 from uavnav.runs import paper, trials
 from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, SAMPLED, decimals, words
-from uavnav.runs.metrics import METRICS, MODES, OWN, finished, per_seed
+from uavnav.runs.metrics import METRICS, OWN, finished, per_seed
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
 Rows = list[list[str]]
@@ -44,9 +44,16 @@ FLIPS = {"yes": " – flips", "sign": " – other sign", "no": "", "": ""}
 """How a table says what `frames.sensitivity` found."""
 MANY = 10_000
 """More seeds than these are as good as never."""
-VALUE, REWARD, GAP = ["value", "low", "high"], ["reward", "low", "high"], ["gap", "gap_low", "gap_high"]
-MEAN, MIDDLE = ["mean", "low", "high"], ["interquartile_mean", "iqm_low", "iqm_high"]
-"""Columns of frames: a number and its interval."""
+MIDDLE = ["interquartile_mean", "iqm_low", "iqm_high"]
+
+
+def interval_of(column: str) -> list[str]:
+    """A column of a frame, and those that have its interval."""
+    alone = column in ("value", "reward", "mean")
+    return [column, *(end if alone else f"{column}_{end}" for end in ("low", "high"))]
+
+
+VALUE, REWARD, GAP, MEAN = map(interval_of, ("value", "reward", "gap", "mean"))
 
 
 def number(value: float, digits: int = 2) -> str:
@@ -88,6 +95,14 @@ class _Cells(string.Formatter):
             return number(value, int(format_spec.strip(",.f")))
         shown = str(super().format_field(value, format_spec))
         return NOTHING if shown == "nan%" else shown
+
+
+def linked(words: str, table: str, row: Any = None, root: str = "") -> str:
+    """Words that lead to a table, or to a row of it: its line in the CSV, after that of the header.
+
+    root: the folder of the tables, with a slash.
+    """
+    return f"[{words}]({root}tables/{table}.csv{f'#L{row + 2}' if row is not None else ''})"
 
 
 def listed(frame: pd.DataFrame, name: str) -> Rows:
@@ -358,7 +373,7 @@ def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
             if column not in one:
                 shown.append(NOTHING)
                 continue
-            value, *ends, _ = stats.interval(one[column].dropna().to_numpy())
+            value, *ends, _ = stats.interval(one[column].to_numpy())
             inside = f" ({' to '.join(map(style.number, ends))})" if np.isfinite(ends[0]) else ""
             shown.append(f"{style.number(value)}{inside}")
         rows.append([label, *shown])
@@ -478,7 +493,7 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
     """
     metrics, gaps = numbers["metrics"], numbers["gaps"]
     logged = metrics[(metrics["metric"] == "reward") & (metrics["definition"] == LOG_CURVE)]
-    flown = gaps[gaps["mode"].isin((MODES[1], "scripted"))]
+    flown = gaps[gaps["mode"].isin((MODE, "scripted"))]
     rows = [["episode reward", "the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]]
     for algorithm, activation in sorted(paper.TABLES, key=lambda key: COMPARED.index(key[0])):
         of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
@@ -494,7 +509,7 @@ def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, 
     """The number of a table's one row with its interval, and a link to it; a dash where there is none."""
     for place, one in zip(rows.index, rows.to_dict("records"), strict=True):
         shown, *interval = _interval(one, columns, digits).partition(" [")
-        return f"[{shown}]({root}tables/{table}.csv#L{place + 2}){''.join(interval)}"
+        return linked(shown, table, place, root) + "".join(interval)
     return NOTHING
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -102,10 +103,7 @@ def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[dict[str, Any
 
 def _shown(row: Mapping[Any, Any], column: str) -> str:
     """A cell of a quoted row, with its interval where it has one."""
-    low, high = (
-        ("low", "high") if column in ("value", "reward", "mean") else (f"{column}_low", f"{column}_high")
-    )
-    value, ends = row[column], (row.get(low), row.get(high))
+    value, *ends = (row.get(name, math.nan) for name in tables.interval_of(column))
     if pd.isna(value):
         return tables.NOTHING
     if isinstance(value, float):
@@ -132,12 +130,26 @@ class Figure(NamedTuple):
     section: str
     drawn: style.Drawn
     caption: str
-    narrow: style.Drawn | None = None  # the same, for a phone
+    narrow: style.Drawn  # the same, for a phone
+
+
+def sized(
+    name: str,
+    section: str,
+    caption: str,
+    draw: Callable[..., style.Drawn],
+    *args: Any,
+    wide: float = style.WIDTH,
+    **more: Any,
+) -> Figure:
+    """A figure for a page and for a phone; draw: takes args, more and a `width`; wide: on a page [inches]."""
+    page, phone = (draw(*args, width=width, **more) for width in (wide, style.NARROW))
+    return Figure(name, section, page, caption, phone)
 
 
 def pictures(figures: Iterable[Figure]) -> dict[str, list[Source]]:
     """Figures by their names, for a page and for a phone."""
-    return {one.name: [source(drawn.figure) for drawn in (one.drawn, one.narrow) if drawn] for one in figures}
+    return {one.name: [source(drawn.figure) for drawn in (one.drawn, one.narrow)] for one in figures}
 
 
 def files_of(figures: Iterable[Figure]) -> dict[str, bytes]:

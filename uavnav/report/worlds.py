@@ -17,7 +17,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report.claims import ALL_TASKS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
-from uavnav.report.configurations import apart, one_line, order, settings_of
+from uavnav.report.configurations import MODE, apart, one_line, order, settings_of
 from uavnav.report.frames import Rows, columns
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
@@ -28,7 +28,6 @@ from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTED, USUAL
 if TYPE_CHECKING:
     from uavnav.runs.evaluations import Protocol
 
-MODE = "sampled"
 DEFAULT, TUNED = "vectorised", "fast"
 """The presets of the study; a task's name says the second."""
 MEASURES = {
@@ -37,9 +36,10 @@ MEASURES = {
     "collisions": PER_EPISODE["collisions"],
     "survival": "restricted mean survival [steps]",
 }
-
 LABELS = MEASURES | {name: one.label for name, one in OWN.items()}
 """Columns of a task's table."""
+CLIMBED = ("reward", "collisions", *OWN)
+"""What is measured on the rungs of a ladder."""
 
 Key = tuple[str, str, str]
 """Task (with the preset where it is not the default), algorithm and activation."""
@@ -190,9 +190,6 @@ def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
     return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival), **crashed)
 
 
-_NONE = pd.DataFrame()
-
-
 @dataclass(eq=False)
 class Evidence:
     """What the claims of the discussion ask (`claims.Evidence`); means over tasks need all of them."""
@@ -225,7 +222,7 @@ class Evidence:
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
         """A configuration's seeds in each task, with the default preset; nothing where it lacks a task."""
-        found = [self._seeds.get((task, algorithm, activation), _NONE) for task in self._tasks]
+        found = [self._seeds.get((task, algorithm, activation), pd.DataFrame()) for task in self._tasks]
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
@@ -261,12 +258,10 @@ def summary(found: Worlds) -> Rows:
         for (task, algorithm, activation), table in found.seeds.items()
     }
     for (task, name), table in (everything | found.scripted).items():
-        for metric in (one for one in (*MEASURES, *OWN) if one in table):
-            # most episodes end at the goal: few tell how long one lives
-            if metric == "survival" and "success" in table:
-                continue
-            one = stats.interval(table[metric].dropna().to_numpy())
-            yield [_place(task), name, metric, *one]
+        for metric in (*MEASURES, *OWN):
+            # where most episodes end at the goal, few tell how long one lives
+            if metric in table and not (metric == "survival" and "success" in table):
+                yield [_place(task), name, metric, *stats.interval(table[metric].to_numpy())]
 
 
 @columns("task", "best", "value", "low", "high", "best_scripted", "scripted", "ahead", "chance")
@@ -295,32 +290,34 @@ def leaders(found: pd.DataFrame) -> Rows:
         yield [task, *numbers, top["who"], top["value"], ahead, under]
 
 
-def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
+@columns("name", "mode", "rung", "measure", "n", "value", "low", "high")
+def ladder(found: Worlds, name: str) -> Rows:
     """The configurations that were trained in the paper's task across a ladder, means of their activations,
-    and the usual scripted policies; None where no configuration was.
+    and the usual scripted policies; no rows where no configuration was.
     """
-    from uavnav.evaluation import across
     from uavnav.tasks.ladders import LADDERS
 
-    rungs, parts = LADDERS[name].rungs, []
+    rungs, learned = LADDERS[name].rungs, False
     for (task, algorithm), group in itertools.groupby(found.seeds.items(), key=lambda item: item[0][:2]):
         flown = [table for _, table in group if at("reward", name, rungs[0]) in table]
         if not flown or _place(task) != "drone":
             continue
-        who = algorithm.upper() + (" fast" if task != _place(task) else "")
-        for rung in rungs:
-            for metric in (one for one in ("reward", "collisions", *OWN) if at(one, name, rung) in flown[0]):
-                one = stats.difference(
-                    [table[at(metric, name, rung)].dropna().to_numpy() for table in flown], []
-                )
-                parts.append([who, MODE, float(rung), metric, one.n, *one[:3]])
-    if not parts:
-        return None
-    for who, rung in itertools.product(USUAL, rungs):
+        learned, who = True, algorithm.upper() + " fast" * (task != _place(task))
+        for rung, metric in itertools.product(rungs, CLIMBED):
+            if (there := at(metric, name, rung)) in flown[0]:
+                *mean, n = stats.difference([table[there].dropna().to_numpy() for table in flown])
+                yield [who, MODE, float(rung), metric, n, *mean]
+    for who, rung, metric in itertools.product(USUAL, rungs, CLIMBED) if learned else ():
         own = found.rungs.get((name, rung), {}).get(who, pd.DataFrame())
-        for metric in (one for one in ("reward", "collisions", *OWN) if one in own):
-            one = stats.interval(own[metric].dropna().to_numpy())
-            parts.append([who, "scripted", float(rung), metric, one.n, *one[:3]])
-    columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
-    kinds = {who: who.split()[0].lower() for who, *_ in parts}
-    return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], kinds, width)
+        if metric in own:
+            *mean, n = stats.interval(own[metric].to_numpy())
+            yield [who, "scripted", float(rung), metric, n, *mean]
+
+
+def figure(climbed: pd.DataFrame, name: str, width: float = style.WIDTH) -> style.Drawn:
+    """What `ladder` gives, as a figure."""
+    from uavnav.evaluation import across
+    from uavnav.tasks.ladders import LADDERS
+
+    kinds = {who: who.split()[0].lower() for who in climbed["name"]}
+    return across.draw(climbed, LADDERS[name], kinds, width)

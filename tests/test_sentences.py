@@ -118,6 +118,14 @@ def test_a_quote_of_no_row_of_two_rows_and_of_no_table_is_untrue():
         quotes.check(MADE["value"].max() == 2)
 
 
+@pytest.mark.parametrize("column", ["settings", "pair"])
+def test_a_check_of_a_column_that_is_not_there_is_untrue_and_names_its_sentence(column, numbers):
+    less = numbers | {"tuning_pairs": numbers["tuning_pairs"].drop(columns=column)}
+    with pytest.raises(Untrue, match=rf"^tuned_pairs: .*'{column}'"):
+        block("tuned_pairs", Quotes(less))
+    assert prose(less)["tuned_pairs"] == ""
+
+
 def test_a_claim_has_these_grades_in_its_columns_and_no_others(numbers):
     quotes = Quotes(numbers)
     assert quotes.grade(2, "does not", "smaller", "open", "–") == ""

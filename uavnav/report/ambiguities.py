@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.claims import SURGE
+from uavnav.report.claims import around_surge
 from uavnav.report.configurations import apart, order, settings_of, show
 from uavnav.report.frames import Rows, columns, name
-from uavnav.report.studies import AFTER
 from uavnav.runs import Run, draws, paper
 from uavnav.runs.definitions import last_hundred
 from uavnav.stats import Array
@@ -98,8 +97,8 @@ def surges(runs: Sequence[Run]) -> Rows:
     next, that is lost in the last 100,000; as printed where it is more than half.
     """
     for run in (one for one in runs if (one.algorithm, one.config["activation"]) == SURGING):
-        windows = [(0, SURGE[0]), SURGE, (run.frames - AFTER, run.frames)]
-        before, surge, after = last_hundred(run.episodes, "reward", windows).dropna().to_numpy().T
+        rewards = last_hundred(run.episodes, "reward", around_surge(run.frames))
+        before, surge, after = rewards.dropna().to_numpy().T
         lost = stats.ratio(surge - after, surge - before)
         verdict = AS_PRINTED if lost.low > 0.5 else NOT if lost.high < 0.5 else OPEN
         yield [SURGES, *lost, np.nan, verdict]

@@ -69,10 +69,9 @@ def evaluations(folders: Sequence[Path], study: str) -> tuple[list[Evaluated], l
 
 
 def _how(rows: pd.DataFrame, run: Run | None = None) -> dict[str, Any]:
-    said = {str(key): value for key, value in rows.attrs.items()}
     task = run.config["task"] if run else TASK_NAMES[0]
-    usual = Protocol().header() | {"task": task, "faults": "none", "at": 1.0, "shield": False}
-    return {str(key): value for key, value in usual.items()} | said
+    usual = {**Protocol().header(), "task": task, "faults": "none", "at": 1.0, "shield": False}
+    return usual | {str(key): value for key, value in rows.attrs.items()}
 
 
 def _key(how: Mapping[str, Any]) -> tuple[Any, ...]:

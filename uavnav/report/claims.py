@@ -37,6 +37,10 @@ SIX = {name: METRICS[name] for name in paper.COLUMNS}
 """The metrics of the paper's tables."""
 SURGE = (300_000, 600_000)
 """Frames between which the paper sees DQN with sigmoid surge."""
+AFTER = 100_000
+"""Frames at the end of training, which tell what is left of a surge."""
+WHEN = ("before", "surge", "after")
+"""The windows of `around_surge`."""
 TIMES = 1.5
 """What counts as "about twice" and "nearly double": at least so many times each other configuration."""
 NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "leaky ReLU"}
@@ -209,8 +213,13 @@ def _bounded(algorithm: str, metric: str, beside: bool = False) -> Part:
     return _means(text, metric, _of(algorithm, *BOUNDED), _of(algorithm, *UNBOUNDED), beside=beside)
 
 
+def around_surge(frames: int) -> list[tuple[int, int]]:
+    """The windows of frames before, in and after the surge, of a training of so many frames."""
+    return [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
+
+
 def _dqn_sigmoid_surges() -> list[Part]:
-    terms = tuple(Term("dqn", "sigmoid", f"reward_{when}") for when in ("before", "surge", "after"))
+    terms = tuple(Term("dqn", "sigmoid", f"reward_{when}") for when in WHEN)
     above = "reward of DQN with sigmoid: 300,000 to 600,000 frames above"
     half = "more than half of the rise by 600,000 frames is lost in the last 100,000"
     return [

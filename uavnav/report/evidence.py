@@ -10,7 +10,7 @@ import pandas as pd
 from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
 from uavnav.report.content import Content
-from uavnav.report.quotes import Quotes
+from uavnav.report.frames import least_to_most
 from uavnav.report.verdicts import COUNTS, OPEN
 
 
@@ -18,8 +18,7 @@ class Row(NamedTuple):
     number: int
     sentence: str  # of the paper
     note: str
-    column: str  # that its sentence is about
-    grade: str  # in that column
+    grade: str  # in the column that its sentence is about
     grades: dict[str, str]  # by column, with the seeds; a dash where it cannot answer
     said: str  # what our seeds say, in Markdown
     parts: dict[str, tables.Rows]  # by column that answers
@@ -27,34 +26,31 @@ class Row(NamedTuple):
 
 def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
     """A row a claim; 12 to 16 where a folder has that study. prose: of `quotes`; root: of links."""
-    quotes = Quotes(content.tables, root)
     found = []
     for claim in EVERY if content.worlds else CLAIMS:
         graded, parts, own = dict.fromkeys(COLUMNS, tables.NOTHING), {}, OPEN
         grades = content.tables["grades"]
         grades = grades[grades["claim"] == claim.number]
         for place, one in grades.to_dict("index").items():
-            column, seeds = one["column"], " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
+            column, seeds = one["column"], least_to_most([one["least"], one["most"]])
             counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
-            grade = quotes.link(one["grade"], "grades", place)
+            grade = tables.linked(one["grade"], "grades", place, root)
             graded[column] = f"{grade}{counts}, n\u00a0=\u00a0{seeds}"
             judged = content.tables["verdicts"].query("claim == @claim.number and column == @column")
             parts[column] = tables.listed(judged, "verdicts")
             own = one["grade"] if column == claim.column else own
-        said = prose[f"claim_{claim.number}"] or _generic(claim, content, quotes)
-        in_order = {column: parts[column] for column in COLUMNS if column in parts}
-        about = claim.number, claim.sentence, claim.note, claim.column
-        found.append(Row(*about, own, graded, said, in_order))
+        said = prose[f"claim_{claim.number}"] or _generic(claim, content, root)
+        found.append(Row(claim.number, claim.sentence, claim.note, own, graded, said, parts))
     return found
 
 
-def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
+def _generic(claim: Claim, content: Content, root: str) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
     verdicts = content.tables["verdicts"]
     chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
     for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].to_dict("index").items():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
-        return f"{one['text']}: {quotes.link(effect, 'verdicts', place)}"
+        return f"{one['text']}: {tables.linked(effect, 'verdicts', place, root)}"
     return "No part that counts has runs."
 
 
@@ -66,9 +62,9 @@ def table(found: Sequence[Row]) -> tables.Rows:
 
 def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> tables.Rows:
     """The parts of claims that the paper's own tables, as printed, do not show: they should be above zero."""
-    shown, quotes = [["claim", "what it says", "the paper's own tables"]], Quotes(numbers, root)
+    shown = [["claim", "what it says", "the paper's own tables"]]
     verdicts = numbers["verdicts"]
     for place, one in verdicts[(verdicts["column"] == LOG) & (verdicts["paper"] <= 0)].iterrows():
-        number = quotes.link(tables.number(one["paper"]), "verdicts", place)
+        number = tables.linked(tables.number(one["paper"]), "verdicts", place, root)
         shown.append([str(one["claim"]), one["text"], number])
     return shown

@@ -18,9 +18,9 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import claims
-from uavnav.report.claims import BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, Evidence
+from uavnav.report.claims import AFTER, BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, WHEN, Evidence, around_surge
 from uavnav.report.configurations import Configuration, Key, algorithms, episodes_of, order, read_as, windowed
-from uavnav.report.studies import AFTER, Configurations, Studies, hours, paper_configurations, timed
+from uavnav.report.studies import Configurations, Studies, hours, paper_configurations, timed
 from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, PER_FRAME, SAMPLED
@@ -232,13 +232,14 @@ def _halves(samples: Sequence[stats.Array]) -> stats.Interval:
     return stats.difference(samples[:half], samples[half:])
 
 
-def sensitivity(studies: Studies) -> pd.DataFrame:
-    """Each conclusion under each switch and as decided: columns switch, conclusion, `NUMBERS`, flips.
+@columns("switch", "conclusion", *NUMBERS, "flips")
+def sensitivity(studies: Studies) -> Rows:
+    """Each conclusion under each switch and as decided.
 
     An algorithm that a switch does not touch is taken as decided. `flips`: the interval is wholly on the
     other side of zero than as decided; `sign` if only the estimate does.
     """
-    rows = []
+    decided: dict[str, stats.Interval] = {}
     of_each = dict.fromkeys([*claims.COMPARED, *algorithms(studies.baseline)])
     between = " above ".join(map(str.upper, claims.COMPARED))
     conclusions: dict[str, tuple[str, ...]] = {between: claims.COMPARED}
@@ -248,14 +249,19 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
         for conclusion, which in conclusions.items():
             keys = [*itertools.product(which, PAIR)]
             if there.keys() >= {*keys} and not own.keys().isdisjoint(keys):
-                rows.append([switch, conclusion, *_halves([of_seeds(there[key], PRIMARY) for key in keys])])
-    table = pd.DataFrame(rows, columns=["switch", "conclusion", *NUMBERS])
-    decided = table[table["switch"] == AS_DECIDED].set_index("conclusion")
-    usual = decided.reindex(table["conclusion"]).reset_index(drop=True)
-    alone = (table["switch"] == AS_DECIDED) | ~table["conclusion"].isin(decided.index)
-    same = ~(usual["value"] * table["value"] < 0)
-    clear = (usual["low"] * usual["high"] > 0) & (table["low"] * table["high"] > 0)
-    return table.assign(flips=np.select([alone, same, clear], ["", "no", "yes"], "sign").astype(object))
+                found = _halves([of_seeds(there[key], PRIMARY) for key in keys])
+                yield [switch, conclusion, *found, _flips(decided.get(conclusion), found)]
+                if switch == AS_DECIDED:
+                    decided[conclusion] = found
+
+
+def _flips(decided: stats.Interval | None, found: stats.Interval) -> str:
+    """Whether a switch changes a conclusion, as `sensitivity` says; empty where it cannot."""
+    if decided is None:
+        return ""
+    if not decided.value * found.value < 0:
+        return "no"
+    return "yes" if decided.low * decided.high > 0 and found.low * found.high > 0 else "sign"
 
 
 @columns("switch", "algorithm", "frames", *NUMBERS)
@@ -343,8 +349,8 @@ def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
 
     None unless an algorithm beyond the paper's has runs with the activations that some conclusion asks for.
     """
-    there = dict.fromkeys(algorithm for algorithm, _ in sorted(studies.of("vectorised"), key=order))
     rows = []
+    there = algorithms(studies.of("vectorised"))
     for (label, sides), algorithm in itertools.product(CONCLUSIONS.items(), there):
         first, second = (
             [evidence(algorithm, one, "reward", study="vectorised") for one in side] for side in sides
@@ -394,9 +400,8 @@ def peaks(configurations: Configurations, log: Evidence) -> Rows:
         if frames < SURGE[1] + AFTER:
             continue
         best = configuration.curve.round(9).idxmax()  # of equal ones the first
-        windows = [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
-        before, surge, after = windowed(configuration, windows).to_numpy().T
-        logged = {when: log(*key, f"reward_{when}") for when in ("before", "surge", "after")}
+        before, surge, after = windowed(configuration, around_surge(frames)).to_numpy().T
+        logged = {when: log(*key, f"reward_{when}") for when in WHEN}
         found = {"peak": stats.difference([np.asarray(best, dtype=np.float64)])}
         found["lost"] = stats.ratio(surge - after, surge - before)
         found |= {f"{when}, {SB3}": stats.difference([one]) for when, one in logged.items()}

@@ -15,7 +15,8 @@ import jinja2
 import pandas as pd
 
 from uavnav.report.claims import COLUMNS, EVERY
-from uavnav.report.tables import NOTHING, in_brackets
+from uavnav.report.tables import NOTHING, in_brackets, interval_of, linked
+from uavnav.report.templating import TEMPLATES
 from uavnav.report.verdicts import BESIDE, COUNTS
 
 
@@ -57,8 +58,7 @@ class Quotes:
         if chosen.sum() != 1:
             raise Untrue(f"{name} has {chosen.sum()} rows of {where}")
         place = int(chosen.to_numpy().argmax())
-        ends = ("low", "high") if of in ("value", "reward", "mean") else (f"{of}_low", f"{of}_high")
-        values = [float(table.iloc[place].get(one, float("nan"))) for one in (of, *ends)]
+        values = [float(table.iloc[place].get(one, float("nan"))) for one in interval_of(of)]
         low, high = values[1:]
         if sign and sign != ("+" if low > 0 else "−" if high < 0 else "0" if low <= high else None):
             raise Untrue(f"{name}, {where}: {of} {low} to {high} is not {sign}")
@@ -95,21 +95,23 @@ class Quotes:
         return ""
 
     def link(self, words: str, name: str, row: Any = None) -> str:
-        """Words that lead to a table, or to a row of it: its line in the CSV, after that of the header."""
-        return f"[{words}]({self.root}tables/{name}.csv{f'#L{row + 2}' if row is not None else ''})"
+        """Words that lead to a table, or to a row of it (`tables.linked`)."""
+        return linked(words, name, row, self.root)
 
 
-_TEMPLATES = jinja2.Environment(
-    loader=jinja2.PackageLoader("uavnav.report"), undefined=jinja2.StrictUndefined
-)
-STUDY = _TEMPLATES.get_template("study.md")
+STUDY = TEMPLATES.get_template("study.md")
 
 
 def block(name: str, quotes: Quotes) -> str:
-    """A block of the prose, in Markdown; raises Untrue where it is not true or lacks a row."""
+    """A block of the prose, in Markdown; raises Untrue, with its name, where it is not true or asks for a row
+    or a column that is not there.
+    """
     names = ("table", "quote", "claim", "grade", "check", "link")
     methods = {one: getattr(quotes, one) for one in names}
-    return "".join(STUDY.blocks[name](STUDY.new_context(methods))).strip()
+    try:
+        return "".join(STUDY.blocks[name](STUDY.new_context(methods))).strip()
+    except (ValueError, LookupError, pd.errors.UndefinedVariableError, jinja2.UndefinedError) as error:
+        raise Untrue(f"{name}: {error}") from error
 
 
 def prose(numbers: Mapping[str, pd.DataFrame], root: str = "") -> dict[str, str]:
@@ -118,6 +120,6 @@ def prose(numbers: Mapping[str, pd.DataFrame], root: str = "") -> dict[str, str]
     for name in STUDY.blocks:
         try:
             found[name] = block(name, quotes)
-        except (ValueError, LookupError):  # what a folder's tables lack, a comparison cannot ask for
+        except Untrue:
             found[name] = ""
     return found

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav.report.claims import FAST, PRIMARY, SURGE, TUNED
+from uavnav.report.claims import AFTER, FAST, PRIMARY, SURGE, TUNED, WHEN, around_surge
 from uavnav.report.configurations import Configuration, Key, episodes_of, order, read_as, show, windowed
 from uavnav.runs import POLICY, Run, paper
 from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, last_hundred
@@ -39,17 +39,13 @@ PLACES = {
 """What a study of the package answers: a field of `Studies`."""
 FOLLOWING = {"preset", "frames", "total_frames", "exploration_fraction", "layouts", "compile"}
 """Settings that a shorter study or another layout file changes along with what it is about."""
-AFTER = 100_000
-"""Frames at the end of training, which tell what is left of a surge."""
 
 
 class Studies(NamedTuple):
     """All configurations of a report."""
 
     main: Configurations  # the paper's comparison, and further activations at the same settings
-    vectorised: (
-        Configurations  # the same in more environments per seed, where the main study is in one; else none
-    )
+    vectorised: Configurations  # the same in more environments, where the main study is in one; else none
     baseline: Configurations  # in many environments for fewer frames, what the next two are compared with
     initial: Configurations  # under the first reward
     switches: dict[str, Configurations]  # one setting that the paper leaves open otherwise, by `name=value`
@@ -190,13 +186,12 @@ class Rows:
         configuration = self._of(study)[algorithm, activation]
         table, frames = read_as(configuration, self.definition), configuration.settings["frames"]
         if self.definition in (PRIMARY, LOG_CURVE) and frames >= SURGE[1] + AFTER:
-            windows = [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
+            windows = around_surge(frames)
             if self.definition == LOG_CURVE:
                 rewards = last_hundred(episodes_of(configuration, LOG_CURVE), "reward", windows)
             else:
                 rewards = windowed(configuration, windows)
-            times = [f"reward_{when}" for when in ("before", "surge", "after")]
-            table = table.join(rewards.set_axis(times, axis=1))
+            table = table.join(rewards.set_axis([f"reward_{when}" for when in WHEN], axis=1))
         return table
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array:

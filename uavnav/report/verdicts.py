@@ -103,11 +103,12 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
     next, and so on; the first that fails and all after it have the same level.
     """
     found = [_contrasts(part, of) for part, of in zip(parts, samples, strict=True)]
+    sizes = [_extreme(part, own) for part, own in zip(parts, printed, strict=True)]
     shape = np.broadcast_shapes(*(one.value.shape[:-1] for one in found if one is not None), ())
     standings = np.full((*shape, len(parts)), COUNTS, dtype="<U31")
     p, power, smaller = np.full((3, *standings.shape), np.nan)
     toward, within = np.zeros((2, *standings.shape), dtype=bool)
-    for place, (part, one, own) in enumerate(zip(parts, found, printed, strict=True)):
+    for place, (part, one, size) in enumerate(zip(parts, found, sizes, strict=True)):
         if part.beside:
             standings[..., place] = BESIDE
         elif one is None:
@@ -115,20 +116,17 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
         if one is None:
             continue
         p_for, p_against = _p_values(part, one)
-        p[..., place], toward[..., place] = (
-            np.minimum(1.0, 2 * np.minimum(p_for, p_against)),
-            p_for < p_against,
-        )
-        effect = _extreme(part, own)
+        p[..., place] = np.minimum(1.0, 2 * np.minimum(p_for, p_against))
+        toward[..., place] = p_for < p_against
         low, high = _interval(part, one, 2 * ALPHA)
         # never of an unknown or negative effect
-        within[..., place] = (-HALF * effect < low) & (high < HALF * effect)
+        within[..., place] = (-HALF * size < low) & (high < HALF * size)
         varies = (one.error > 0).all(-1)
         if not part.beside:
-            standings[..., place] = AGAINST_ITSELF if effect <= 0 else np.where(varies, COUNTS, DEGENERATE)
+            standings[..., place] = AGAINST_ITSELF if size <= 0 else np.where(varies, COUNTS, DEGENERATE)
     candidates = (standings == COUNTS).sum(-1)
     for place, (part, one, own) in enumerate(zip(parts, found, printed, strict=True)):
-        if one is not None and _extreme(part, own) > 0:
+        if one is not None and sizes[place] > 0:
             power[..., place] = _power(part, one, own, ALPHA / np.maximum(candidates, 1))
     standings[(standings == COUNTS) & (power < POWER)] = TOO_SMALL
     counting = standings == COUNTS
@@ -137,9 +135,9 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
     passed = (counting & (p_holm < ALPHA)).sum(-1, keepdims=True)
     left = counting.sum(-1, keepdims=True) - np.minimum(rank, passed)
     levels = ALPHA / np.where(counting, left, 1)
-    for place, (part, one, own) in enumerate(zip(parts, found, printed, strict=True)):
-        if one is not None and (effect := _extreme(part, own)) > 0:
-            smaller[..., place] = _interval(part, one, levels[..., place, None])[1] < HALF * effect
+    for place, (part, one, size) in enumerate(zip(parts, found, sizes, strict=True)):
+        if one is not None and size > 0:
+            smaller[..., place] = _interval(part, one, levels[..., place, None])[1] < HALF * size
     unclear = np.select([within, smaller == 1], [ABSENT, SMALLER], OPEN)
     verdicts = np.select([p_holm >= ALPHA, toward], [unclear, REPLICATES], REVERSES)
     verdicts = np.where(np.isnan(p), [OPEN if one is None else DEGENERATE for one in found], verdicts)

@@ -69,11 +69,8 @@ def _activations() -> Answers:
             rows |= {
                 f"{one.upper()} {name}, {label}": (study, one, name) for name in ("tanh", "sigmoid", "relu")
             }
-        pairs = [
-            ("tanh", "relu", SHORT, ""),
-            ("relu6", "relu", SHORT, ""),
-            ("sigmoid_centred", "sigmoid", SHORT, ""),
-        ]
+        alone = (("tanh", "relu"), ("relu6", "relu"), ("sigmoid_centred", "sigmoid"))
+        pairs = [(*pair, SHORT, "") for pair in alone]
         pairs += [("tanh", "relu", study, f", both with {label}") for study, label in changed.items()]
         for a, b, study, how in pairs:
             name = f"{one.upper()} with {a} minus with {b}{how}"

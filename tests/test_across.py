@@ -185,7 +185,7 @@ def test_the_first_rung_of_noise_is_the_evaluation_itself():
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return Run(write_policies(tmp_path_factory.mktemp("across") / "mine", n_seeds=2))
+    return Run(write_policies(tmp_path_factory.mktemp("across") / "mine", n_seeds=2, layouts="train"))
 
 
 def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it_was(run, capsys):

@@ -34,7 +34,7 @@ fly_command = functools.partial(commands.run, "evaluate")
 @pytest.fixture
 def run(tmp_path):
     """A finished run of the seeds 4, 5 and 6 that was not evaluated."""
-    return Run(write_policies(tmp_path / "run", "dqn", seed=4))
+    return Run(write_policies(tmp_path / "run", seed=4, layouts="train"))
 
 
 def contents(folder):
@@ -162,7 +162,7 @@ def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_e
     assert fly_command([str(run.path), "reactive", "--episodes", "5", "--max-steps", "50"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    for words in ("dqn tanh on 5 test layouts", "reactive", "3 seeds", "1 seed", "greedy", "sampled"):
+    for words in ("ppo tanh on 5 test layouts", "reactive", "3 seeds", "1 seed", "greedy", "sampled"):
         assert words in out, words
     assert out.count("reward per episode") == 2
     rows = Run(run.path).evaluation()

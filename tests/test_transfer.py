@@ -30,7 +30,8 @@ RUNS = {
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("transfer")
-    return {name: Run(write_policies(folder / name, **{"n_seeds": 1} | own)) for name, own in RUNS.items()}
+    usual = {"n_seeds": 1, "layouts": "train"}
+    return {name: Run(write_policies(folder / name, **usual | own)) for name, own in RUNS.items()}
 
 
 @pytest.mark.parametrize(

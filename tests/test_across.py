@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from runs_by_hand import write_policies
 
 from uavnav.__main__ import main
+from uavnav.algorithms import ppo
 from uavnav.evaluation import across, summary
 from uavnav.runs import Run
 from uavnav.runs.metrics import PER_EPISODE
@@ -134,7 +134,11 @@ def test_no_number_of_a_table_is_cut_off_whatever_the_width_of_the_terminal(colu
 
 
 def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_refused(tmp_path):
-    run, told = Run(write_policies(tmp_path / "run", task="space", n_seeds=1, n_inputs=40)), []
+    config = ppo.PPOConfig(
+        task="space", n_envs=16, hidden=(4,), total_frames=64, frames_per_batch=64, epochs=1, compile="off"
+    )
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    told = []
     fly = functools.partial(
         across.across, [across.of_run("mine", run)], episodes=1, max_steps=2, out=tmp_path, quiet=True
     )
@@ -157,7 +161,9 @@ def test_a_script_reads_distances_right_where_a_sensor_reaches_less_far(name):
 
 
 def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
-    run, said = Run(write_policies(tmp_path / "run", n_seeds=1, n_outputs=40, world={"n_turns": 4})), []
+    small = {"total_frames": 64, "n_envs": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
+    run = ppo.train(ppo.PPOConfig(**small, world={"n_turns": 4}), tmp_path / "run", quiet=True)
+    said = []
     found = across.across([across.of_run("mine", run)], ["sticky"], 2, 20, None, True, said.append)
     assert said == ["left out: the scripted policies, which choose among 10 turns and 10 distances"]
     assert {one["name"] for one in found} == {"mine"}
@@ -185,12 +191,24 @@ def test_the_first_rung_of_noise_is_the_evaluation_itself():
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return Run(write_policies(tmp_path_factory.mktemp("across") / "mine", n_seeds=2, layouts="train"))
+    config = ppo.PPOConfig(total_frames=64, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1, n_seeds=2)
+    return ppo.train(config, out=tmp_path_factory.mktemp("across") / "mine", quiet=True)
 
 
 def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it_was(run, capsys):
-    words = f"evaluate {run.path} --across arc sticky --episodes 2 --max-steps 20 --json"
-    assert main(words.split()) == 0
+    words = [
+        "evaluate",
+        str(run.path),
+        "--across",
+        "arc",
+        "sticky",
+        "--episodes",
+        "2",
+        "--max-steps",
+        "20",
+        "--json",
+    ]
+    assert main(words) == 0
     said = json.loads(capsys.readouterr().out)
     assert {one["ladder"] for one in said} == {"arc", "sticky"}
     assert {one["name"] for one in said} == {str(run.path), *USUAL}
@@ -205,7 +223,8 @@ def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it
 def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(
     given, limits, run, tmp_path, monkeypatch
 ):
-    goal = Run(write_policies(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33))
+    config = ppo.PPOConfig(task="goal", total_frames=64, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1)
+    goal = ppo.train(config, out=tmp_path / "goal", quiet=True)
     flown, told, climb = {}, [], across.climb
 
     def short(who, ladder, episodes, max_steps, *others):
@@ -251,7 +270,17 @@ def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_episodes_out
 
 
 def test_alone_a_run_flies_as_in_training_with_no_script_beside_and_no_figure(run, capsys):
-    words = f"evaluate {run.path} --across sticky --alone --episodes 2 --max-steps 9".split()
+    words = [
+        "evaluate",
+        str(run.path),
+        "--across",
+        "sticky",
+        "--alone",
+        "--episodes",
+        "2",
+        "--max-steps",
+        "9",
+    ]
     assert main([*words, "--json"]) == 0
     assert {(one["name"], one["mode"]) for one in json.loads(capsys.readouterr().out)} == {
         (str(run.path), "sampled")

@@ -119,6 +119,10 @@ def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, f
             ["-m", "uavnav", "layouts", "--check", "{}/thesis"],
             "uavnav layouts: layouts='{}/thesis': no such layout file; ",
         ),
+        (
+            ["-m", "uavnav", "evaluate", "{}/thesis"],
+            "uavnav evaluate: {}/thesis/config.yaml: missing or damaged; ",
+        ),
         ([RECIPES / "dqn.py", "out={}/policy"], "uavnav train: out={}/policy: is a file; give a folder"),
     ],
 )
@@ -200,20 +204,14 @@ def full(name, forever):
     assert out_of_space
 
 
-def train(folder):
-    return dqn.train(dqn.DQNConfig(**DQN), folder, quiet=True, checkpoint_seconds=0)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("whole") / "run")
-
-
 @pytest.mark.parametrize("forever", [False, True])
 @pytest.mark.parametrize("name", ["config.yaml", "meta.json", "state-", "replay-", *runs.FILES[2:]])
 def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_space(
-    tmp_path, name, forever, whole
+    tmp_path, name, forever
 ):
+    def train(folder):
+        return dqn.train(dqn.DQNConfig(**DQN), folder, quiet=True, checkpoint_seconds=0)
+
     with full(name, forever), pytest.raises(RunError) as refused:
         train(tmp_path / "run")
     message = str(refused.value)
@@ -223,7 +221,7 @@ def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_
     left = {str(path.relative_to(tmp_path / "run")) for path in tmp_path.glob("run/**/*") if path.is_file()}
     assert {path for path in left if not path.startswith("checkpoint/")} <= set(runs.FILES)
     assert not any(path.startswith("checkpoint/.") for path in left)
-    again = train(tmp_path / "run")
+    again, whole = train(tmp_path / "run"), train(tmp_path / "whole")
     for part in ("episodes.parquet", POLICY):
         assert (again.path / part).read_bytes() == (whole.path / part).read_bytes()
 

@@ -15,7 +15,7 @@ import pytest
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import BY_DEFAULT, LONGER, QUICK, environments, jobs, plan, training
 from uavnav.bench.jobs import JobError
-from uavnav.bench.page import read_sections
+from uavnav.bench.page import machine, read_sections
 from uavnav.bench.plan import Measurement
 from uavnav.cli import bench, commands
 
@@ -293,6 +293,15 @@ def test_every_mode_writes_its_sections_to_the_end(stubs, words, written):
     assert list(read_sections(out)) == ["", *written]
     assert out.read_text().endswith("|\n")
     assert "cut short" not in out.read_text()
+
+
+def test_two_runs_leave_each_others_sections(stubs):
+    assert commands.run("bench", ["--only", "tasks"]) == 0
+    found = read_sections(Path("docs/benchmarks.md"))["tasks"]
+    assert commands.run("bench", ["--only", "memory"]) == 0
+    assert list(read_sections(Path("docs/benchmarks.md"))) == ["", "memory", "tasks"]
+    assert read_sections(Path("docs/benchmarks.md"))["tasks"] == found
+    assert machine() in found
 
 
 @pytest.mark.parametrize("words", [[], ["--only", "tasks"]])

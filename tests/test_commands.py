@@ -121,10 +121,8 @@ HELPS = [
     *(["train", name, "--help"] for name in ALGORITHMS),
     ["train", "ppo", "--activation", "relu"],
 ]
-COMPARED = [f"results/algorithms/fast/ppo/{name}" for name in ("tanh", "sigmoid")]
 IMPORTED = f"""
-import sys, uavnav, gymnasium
-print("registered", "uavnav/Drone-v0" in gymnasium.registry, "torch" in sys.modules)
+import sys
 from uavnav.__main__ import main
 for words in {HELPS}:
     try:
@@ -132,17 +130,15 @@ for words in {HELPS}:
     except SystemExit:
         pass
     print("imported", sorted({HEAVY} & set(sys.modules)), words)
-print("compared", main(["compare", *{COMPARED}, "reactive"]), "torch" in sys.modules)
 """
 
 
-def test_no_help_no_mistake_in_the_words_and_no_comparison_of_committed_runs_loads_torch():
+def test_no_help_and_no_mistake_in_the_words_of_a_command_imports_torch_or_any_of_seven_others(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", IMPORTED], cwd=PACKAGE.parent, capture_output=True, text=True, check=True
+        [sys.executable, "-c", IMPORTED], cwd=tmp_path, capture_output=True, text=True, check=True
     )
-    lines = [line for line in done.stdout.splitlines() if line.startswith(("imp", "reg", "comp"))]
-    helps = [f"imported [] {words}" for words in HELPS]
-    assert lines == ["registered True False", *helps, "compared 0 False"]
+    lines = [line for line in done.stdout.splitlines() if line.startswith("imported ")]
+    assert lines == [f"imported [] {words}" for words in HELPS]
 
 
 @pytest.mark.parametrize("name", sorted({*commands.COMMANDS} - {"train"}))

@@ -4,6 +4,8 @@ import functools
 import json
 import re
 import shutil
+import subprocess
+import sys
 
 import pandas as pd
 import pytest
@@ -146,11 +148,25 @@ def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_pape
     assert "sensor_arc" not in run.place
 
 
-def test_a_committed_run_is_read_and_a_scripts_rows_beside_it_are_the_kept_ones_or_those_that_it_flies():
+def test_committed_runs_are_compared_without_torch():
+    code = (
+        "import sys; from uavnav.__main__ import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
+    )
+    words = [
+        sys.executable,
+        "-c",
+        code,
+        "compare",
+        "results/algorithms/fast/ppo/tanh",
+        "results/algorithms/fast/ppo/sigmoid",
+        "reactive",
+    ]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+
+def test_a_scripts_rows_beside_a_run_are_the_kept_ones_or_those_that_it_flies():
     """The kept ones are what it flies: see test_baselines."""
-    run, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
-    assert len(run.episodes) == 20 * EPISODES
-    assert run.configuration is not None
+    _, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
     assert kept.episodes.equals(pd.read_parquet("results/baselines/reactive.parquet"))
     short = Protocol("test", 20, 200).header()
     flown = compare.fly("reactive", short, None, "results/vectorised/ppo/tanh").episodes
@@ -164,6 +180,12 @@ def test_columns_are_named_without_the_folders_that_runs_share():
         "reactive",
     ]
     assert compare._short(["runs/ppo/tanh", "reactive"]) == ["runs/ppo/tanh", "reactive"]
+
+
+def test_a_committed_run_is_read_and_not_flown():
+    (run,) = contend(["results/vectorised/ppo/tanh"])
+    assert len(run.episodes) == 20 * EPISODES
+    assert run.configuration is not None
 
 
 def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
@@ -185,6 +207,15 @@ def test_episodes_and_the_time_limit_are_of_all_who_are_compared(trained, tmp_pa
     assert {row["name"] for row in rows} == {str(run), "ppo-tanh", "straight"}
     assert max(row["mean"] for row in rows if row["metric"] == "steps") == 40
     assert len(read_table(run / "evaluation-test-3-40.parquet", EVALUATED, "")) == 6
+
+
+def test_metrics_come_as_json(monkeypatch, capsys):
+    monkeypatch.setattr(
+        command, "contend", lambda names, *_, **asked: [ABOVE._replace(name=name) for name in names]
+    )
+    assert main(["one", "other", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["name"] for row in rows} == {"one", "other"}
 
 
 def test_a_page_makes_its_folder_and_where_there_can_be_none_that_is_said_before_anyone_is_read(

@@ -29,7 +29,7 @@ from uavnav.runs.definitions import (
 from uavnav.runs.metrics import METRICS, Metric, per_seed
 
 RESULTS = Path(__file__).parent.parent / "results"
-COMMITTED = ("vectorised/dqn/sigmoid", "paper/ppo/tanh")  # a log by episodes, and one by frames
+COMMITTED = ("vectorised/dqn/sigmoid", "vectorised/ppo/tanh", "paper/ppo/tanh", "algorithms/fast/dqn/tanh")
 SIX = {"stops": 100, "full_stops": 100, "turns": 100, "speed": 1}
 """The ratios, and what they are times."""
 

@@ -4,6 +4,9 @@ import functools
 import json
 import math
 import re
+import shutil
+import subprocess
+import sys
 import types
 
 import numpy as np
@@ -11,9 +14,9 @@ import pandas as pd
 import pytest
 import torch
 from policies_by_hand import write_zip
-from runs_by_hand import write_policies
 
 import uavnav
+from uavnav.algorithms import dqn, ppo
 from uavnav.cli import commands
 from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, summary
 from uavnav.report import behaviour
@@ -30,15 +33,49 @@ from uavnav.tasks.table import TASKS
 
 fly_command = functools.partial(commands.run, "evaluate")
 
+RUNS = {
+    "ppo": (
+        ppo.train,
+        ppo.PPOConfig(
+            preset="vectorised", n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"
+        ),
+    ),
+    "dqn": (
+        dqn.train,
+        dqn.DQNConfig(
+            preset="vectorised", n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"
+        ),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=list(RUNS))
+def trained(request, tmp_path_factory):
+    """A finished run of the seeds 4, 5 and 6 that was not evaluated."""
+    train, config = RUNS[request.param]
+    return train(config, out=tmp_path_factory.mktemp("evaluate") / "run", quiet=True)
+
 
 @pytest.fixture
-def run(tmp_path):
-    """A finished run of the seeds 4, 5 and 6 that was not evaluated."""
-    return Run(write_policies(tmp_path / "run", seed=4, layouts="train"))
+def run(trained, tmp_path):
+    """A copy of it to write in."""
+    return Run(shutil.copytree(trained.path, tmp_path / "run"))
 
 
 def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_an_episode_that_never_hits_is_truncated_at_the_cap_and_no_collision():
+    rows = evaluate_policy(
+        lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64),
+        episodes=3,
+        max_steps=7,
+    )
+    assert rows.truncated.all()
+    assert not rows.terminated.any()
+    assert (rows.full_stops == 7).all()
+    assert rows.reward.tolist() == pytest.approx([-0.07] * 3, abs=1e-9)
 
 
 def test_evaluating_twice_gives_the_same_rows_and_another_seed_others():
@@ -47,13 +84,27 @@ def test_evaluating_twice_gives_the_same_rows_and_another_seed_others():
     assert not first.equals(evaluate_policy(uniform_random, episodes=50, seed=1))
 
 
-def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(run):
+@pytest.mark.parametrize("greedy", [True, False])
+def test_a_trained_policy_evaluated_twice_gives_the_same_20_rows(trained, greedy):
+    policy = uavnav.load_policy(trained.path, seed=5, greedy=greedy)
+    first, second = (evaluate_policy(policy, episodes=20, max_steps=100) for _ in range(2))
+    pd.testing.assert_frame_equal(first, second, check_exact=True)
+    other = evaluate_policy(policy, episodes=20, max_steps=100, seed=1)
+    same = first.drop(columns="seed").equals(other.drop(columns="seed"))
+    assert same == greedy  # only sampling asks the generator
+
+
+def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(run, tmp_path):
     before, state = contents(run.path), torch.get_rng_state()
     evaluate_run(run, episodes=5, max_steps=50)
     assert torch.equal(torch.get_rng_state(), state)
     after = contents(run.path)
     assert {name: after.pop(name) for name in before} == before
     assert sorted(after) == ["behaviour-test-5-50.parquet", "evaluation-test-5-50.parquet"]
+    train, config = RUNS[run.algorithm]
+    again = train(config, out=tmp_path / "again", quiet=True)
+    assert (again.path / "policy.safetensors").read_bytes() == before["policy.safetensors"]
+    assert again.episodes.equals(run.episodes)
 
 
 @pytest.mark.parametrize("limit", [1, 27, 28])
@@ -142,8 +193,19 @@ def test_each_protocol_has_a_file_of_its_own_whose_header_says_it(protocol, file
 
 def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(tmp_path, capsys):
     zipped, out = write_zip(tmp_path / "theirs.zip"), tmp_path / "baselines"
-    words = f"{zipped} random --activation relu --episodes 5 --max-steps 50 --out {out}"
-    assert fly_command(words.split()) == 0
+    words = [
+        str(zipped),
+        "random",
+        "--activation",
+        "relu",
+        "--episodes",
+        "5",
+        "--max-steps",
+        "50",
+        "--out",
+        str(out),
+    ]
+    assert fly_command(words) == 0
     assert sorted(path.name for path in out.iterdir()) == [
         "random-test-5-50.parquet",
         "theirs-greedy-test-5-50.parquet",
@@ -158,13 +220,32 @@ def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(tmp_p
         assert word in printed, word
 
 
-def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run, capsys):
-    assert fly_command([str(run.path), "reactive", "--episodes", "5", "--max-steps", "50"]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    for words in ("ppo tanh on 5 test layouts", "reactive", "3 seeds", "1 seed", "greedy", "sampled"):
-        assert words in out, words
-    assert out.count("reward per episode") == 2
+@pytest.mark.usefixtures("warm")
+def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):
+    command = [
+        sys.executable,
+        "-m",
+        "uavnav",
+        "evaluate",
+        run.path,
+        "reactive",
+        "--episodes",
+        "5",
+        "--max-steps",
+        "50",
+    ]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    for words in (
+        f"{run.algorithm} tanh on 5 test layouts",
+        "reactive",
+        "3 seeds",
+        "1 seed",
+        "greedy",
+        "sampled",
+    ):
+        assert words in result.stdout, words
+    assert result.stdout.count("reward per episode") == 2
     rows = Run(run.path).evaluation()
     assert rows.groupby(["mode", "seed"]).size().tolist() == [5] * 6
     assert run.behaviour_file().name == "behaviour-test-5-50.parquet"
@@ -208,6 +289,12 @@ def test_a_function_of_one_or_two_arguments_may_give_an_array_a_list_or_a_tensor
 # -- protocols -----------------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    config = ppo.PPOConfig(n_envs=16, total_frames=64, frames_per_batch=64, hidden=[8], compile="off")
+    return ppo.train(config, out=tmp_path_factory.mktemp("protocols") / "run", quiet=True)
+
+
 def test_layout_files_of_one_name_and_other_obstacles_have_files_of_their_own(tmp_path):
     names = set()
     for folder, seed in (("a", 0), ("b", 0), ("c", 1)):
@@ -219,9 +306,10 @@ def test_layout_files_of_one_name_and_other_obstacles_have_files_of_their_own(tm
 
 
 def test_another_number_of_episodes_cap_or_split_goes_to_its_own_file_and_replaces_no_other(
-    run, tmp_path, monkeypatch
+    small, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 4, 9, None, "drone", None, False))
+    run = Run(shutil.copytree(small.path, tmp_path / "run"))
     all_layouts = tmp_path / "own"
     layouts.save(layouts.generate(5, 4), all_layouts, seed=0, split="train")
     protocols = [
@@ -255,26 +343,35 @@ def test_the_evaluation_that_is_read_first_is_the_one_that_a_run_has_by_default(
     assert usual(task) == Protocol("test", 200, TASKS[task].limit(10_000))
 
 
-def test_an_evaluation_of_another_protocol_is_read_where_there_is_no_evaluation_parquet(run):
+def test_an_evaluation_of_another_protocol_is_read_where_there_is_no_evaluation_parquet(small, tmp_path):
+    run = Run(shutil.copytree(small.path, tmp_path / "run"))
     evaluate_run(run, episodes=2, max_steps=5)
     assert run.evaluation().attrs == {"layouts": "test", "episodes": 2, "max_steps": 5}
     assert run.behaviour_file() == run.path / "behaviour-test-2-5.parquet"
 
 
-def test_the_command_says_in_which_file_the_rows_of_a_protocol_are(run, capsys):
-    words = f"{run.path} --episodes 3 --max-steps 5 --layouts validation"
-    assert fly_command(words.split()) == 0
-    path = run.path / "evaluation-validation-3-5.parquet"
+def test_the_command_says_in_which_file_the_rows_of_a_protocol_are(small, tmp_path, capsys):
+    run = shutil.copytree(small.path, tmp_path / "run")
+    assert fly_command([str(run), "--episodes", "3", "--max-steps", "5", "--layouts", "validation"]) == 0
+    path = run / "evaluation-validation-3-5.parquet"
     assert f"the rows are in {path}\n" in capsys.readouterr().out
-    assert len(pd.read_parquet(path)) == 2 * 3 * 3  # modes, seeds, layouts
+    assert len(pd.read_parquet(path)) == 2 * 3
 
 
 # -- worlds --------------------------------------------------------------------------------------------------
 
 
 def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained_in(tmp_path):
-    path = write_policies(tmp_path / "run", n_seeds=1, reward="additive", world={"sensor_arc": 90})
-    run = Run(path)
+    config = ppo.PPOConfig(
+        n_envs=16,
+        total_frames=64,
+        frames_per_batch=64,
+        hidden=[8],
+        compile="off",
+        reward="additive",
+        world={"sensor_arc": 90},
+    )
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
     rows = evaluate_run(run, episodes=6, max_steps=40)
     policy = uavnav.load_policy(run.path)
     assert policy.world == uavnav.World(sensor_arc=90)

@@ -40,8 +40,7 @@ def per_frame():
 
 
 def last_100(rewards):
-    sums, n = np.cumsum([0.0, *rewards]), np.arange(1, len(rewards) + 1)
-    return (sums[n] - sums[np.maximum(n - 100, 0)]) / np.minimum(n, 100)
+    return [np.mean(rewards[max(0, n - 100) : n]) for n in range(1, len(rewards) + 1)]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +51,8 @@ def logs():
         rows = trained(*key)
         rows = rows[rows["terminated"] | rows["truncated"]].sort_values(["seed", "frame"], kind="stable")
         found[key] = [
-            (own["frame"].to_numpy(), last_100(own["reward"].to_numpy())) for _, own in rows.groupby("seed")
+            (own["frame"].to_numpy(), np.array(last_100(own["reward"].to_numpy())))
+            for _, own in rows.groupby("seed")
         ]
     return found
 

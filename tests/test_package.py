@@ -1,13 +1,24 @@
-"""Every name that the package promises is there, and its modules are in order."""
+"""`import uavnav` is cheap, and every name that it promises is there."""
 
 import ast
 import re
+import subprocess
+import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import uavnav
+
+
+def test_import_loads_no_torch_and_registers_the_gymnasium_environment():
+    code = (
+        "import sys, uavnav, gymnasium; print('torch' in sys.modules, 'uavnav/Drone-v0' in "
+        "gymnasium.registry)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == ["False", "True"]
 
 
 @pytest.mark.parametrize("name", sorted({*uavnav.__all__, *uavnav.HOMES, *uavnav._MODULES}))

@@ -3,8 +3,10 @@ elsewhere.
 """
 
 import itertools
+import json
 import re
 import time
+from pathlib import Path
 
 import pytest
 from browsing import (
@@ -23,43 +25,40 @@ from browsing import (
     unfold,
     wait,
 )
-from replaying import few_sets
-from runs_by_hand import write_policies
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
+from uavnav.algorithms import dqn, ppo
 from uavnav.evaluation import evaluate_run
 from uavnav.report import report
 from uavnav.report.claims import CLAIMS
 from uavnav.report.page import FURTHER, SECTIONS
 from uavnav.report.verdicts import GRADES
-from uavnav.runs import Run
-from uavnav.views import replays
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = {"preset": "vectorised", "total_frames": 1000, "reward": "eq14"}
+RESULTS = Path(__file__).parent.parent / "results"
 SHOWN = {name: title for name, title in SECTIONS.items() if name not in ("algorithms", "worlds", *FURTHER)}
 """Sections of a report without further studies."""
 
-CIRCLING = 51
-"""The action that turns by 5 degrees and flies 1 px."""
+SMALL = {"preset": "vectorised", "total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
 
 
 def make_page(folder):
-    """The page of two small configurations, their runs evaluated on six layouts; seed 0 flies in circles."""
-    for algorithm in ("ppo", "dqn"):
-        path = folder / "runs" / algorithm / "tanh"
-        write_policies(path, algorithm, n_seeds=2, prefer=[(0, CIRCLING)], task="drone", **SETTINGS)
-        evaluate_run(Run(path), episodes=6, max_steps=200, quiet=True)
-    with few_sets(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replays, "record_apart", replays.record)
-        report([folder / "runs"], folder / "report")
+    """The page of two small configurations, their runs evaluated on six layouts."""
+    for algorithm, train, config in (
+        ("ppo", ppo.train, ppo.PPOConfig(frames_per_batch=512, epochs=2, **SMALL)),
+        ("dqn", dqn.train, dqn.DQNConfig(learning_starts=256, frames_per_update=16, **SMALL)),
+    ):
+        run = train(config, out=folder / "runs" / algorithm / "tanh", quiet=True)
+        evaluate_run(run, episodes=6, max_steps=200)
+        (run.path / "meta.json").write_text(json.dumps(run.meta | {"study": "small"}))
+    report([folder / "runs"], folder / "report")
 
 
 @pytest.fixture(scope="module")
-def page(once):
+def page(once, warm_module):
     return once("page", make_page) / "report" / "report.html"
 
 
@@ -122,6 +121,23 @@ def test_every_figure_is_drawn_and_has_words_a_caption_and_a_size(browser):
     }
 
 
+def test_the_committed_page_draws_every_committed_figure_and_unpacks_an_episode_of_each_of_8_configurations(
+    browser,
+):
+    browser.get((RESULTS / "report.html").as_uri())
+    unfold(browser)
+    drawn = {figure.get_attribute("id").removeprefix("figure-") for figure in find(browser, "figure.plot")}
+    assert drawn == {path.stem for path in (RESULTS / "figures").glob("*.svg")}
+    assert all(picture.get_property("naturalWidth") > 0 for picture in find(browser, "img"))
+    configuration, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
+    assert [len(one.options) for one in (configuration, seed, layout)] == [8, 3, 3]
+    status = one(browser, ".replay-status")
+    for option in range(8):
+        configuration.select_by_index(option)
+        wait(browser, lambda: status.text.startswith("step 0 of "))
+        assert int(one(browser, ".replay [type=range]").get_attribute("max")) > 0
+
+
 def test_headings_are_in_order_and_the_verdicts_come_first(browser):
     levels = [int(heading.tag_name[1]) for heading in find(browser, "h1, h2, h3, h4, h5, h6")]
     assert levels[0] == 1
@@ -152,6 +168,25 @@ def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(brow
         assert 0 <= top < 150 or (bottom < 2 and top < 900), name
         assert link.is_displayed()
         assert link.rect["y"] - browser.execute_script("return scrollY") < 150 or name == "verdicts"
+
+
+@pytest.mark.parametrize("width", [WIDE, NARROW])
+def test_the_findings_of_the_committed_page_follow_the_first_screen_and_each_number_is_a_link_on_one_line(
+    browser, width
+):
+    browser.get((RESULTS / "report.html").as_uri())
+    resize(browser, width)
+    shown = find(browser, ".findings li")
+    assert len(shown) == 5
+    assert shown[-1].rect["y"] + shown[-1].rect["height"] < (1400 if width == WIDE else 2200)
+    assert shown[-1].rect["y"] < one(browser, ".claim").rect["y"]
+    for one_finding in shown:
+        links = one_finding.find_elements(By.CSS_SELECTOR, "a")
+        assert links
+        for link in links:
+            row = one(browser, f"[id='{link.get_dom_attribute('href').removeprefix('#')}']")
+            assert row.tag_name in ("tr", "table")
+            assert len(browser.execute_script("return [...arguments[0].getClientRects()]", link)) == 1
 
 
 def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_without_being_opened(browser):

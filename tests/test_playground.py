@@ -171,7 +171,6 @@ def test_every_cosine_and_every_action_is_pythons(chrome, opened):
     ]
 
 
-@pytest.fixture(scope="module")
 def committed():
     """Episodes of the eight configurations, six each, and two of scripted policies: [layout, actions]; and
     the rows of the configurations'.
@@ -228,9 +227,9 @@ def in_python(task, places, actions, draws=None):
 
 
 def test_50_episodes_of_committed_actions_are_flown_as_by_python_and_end_as_their_rows_say(
-    chrome, opened, task, committed
+    chrome, opened, task
 ):
-    given, rows = committed
+    given, rows = committed()
     longest = max(len(actions) for _, actions in given)
     padded = torch.tensor([actions + [0] * (longest - len(actions)) for _, actions in given])
     places = torch.tensor([place for place, _ in given])

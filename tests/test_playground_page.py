@@ -47,30 +47,14 @@ CONFIGURATIONS = [
 
 
 @pytest.fixture
-def window(chrome, opened):
-    """A browser in which the page makes no request and no complaint."""
+def browser(chrome, opened):
+    """The page as a visitor without a link gets it; it makes no request and no complaint."""
     forget(chrome)
+    visit(chrome, opened)
     yield chrome
     assert complaints(chrome) == []
     asked = {url.partition("#")[0] for url in requested(chrome) if not url.startswith("data:")}
     assert asked <= {opened.as_uri(), "about:blank"}
-
-
-@pytest.fixture
-def browser(window, opened):
-    """The same with the page as a visitor without a link gets it."""
-    visit(window, opened)
-    return window
-
-
-def follow(browser, link):
-    """A link to another scene, on the page that is open."""
-    words = "addEventListener('hashchange', () => arguments[1](), { once: true });"
-    browser.execute_async_script(f"{words} location.hash = arguments[0]", link)
-
-
-def pilots(browser):
-    return ask(browser, "playground.race.drones.map(({ pilot }) => pilot)")
 
 
 # -- links ---------------------------------------------------------------------------------------------------
@@ -80,47 +64,65 @@ SCENE = (
     "&focus=4&speed=0.25&greedy=yes&seed=9"
 )
 WRITTEN = "writeLink({ ...playground.scene, circles: playground.race.circles }, playground.data.settings)"
-BAD = """
-task=mars task=toString gap=65 gap=121 pace=2.25 noise=21 late=1.5 lost=-1 sticky=<b> layout=-1 layout=1e9
-layouts=mars k=99 k= speed=99 focus=5 seed=4294967296 greedy=perhaps pilots=reactive
-pilots=you~you~reactive~reactive pilots=reactive~reactive~reactive~<b> circles=400_300_50
-circles=100_100_500 circles=NaN_1_50 circles=100_100 __proto__=1 constructor=x toString
-%3Cscript%3E=1 <img/src=x/onerror=alert(1)>=1
-"""
+BAD = (
+    *("task=mars", "task=toString", "gap=65", "gap=121", "pace=2.25", "noise=21", "late=1.5", "lost=-1"),
+    "sticky=<b>",
+    *(
+        "layout=-1",
+        "layout=1e9",
+        "layouts=mars",
+        "k=99",
+        "k=",
+        "speed=99",
+        "focus=5",
+        "seed=4294967296",
+        "greedy=perhaps",
+        "pilots=reactive",
+    ),
+    *(
+        "pilots=you~you~reactive~reactive",
+        "pilots=reactive~reactive~reactive~<b>",
+        "circles=400_300_50",
+        "circles=100_100_500",
+    ),
+    *("circles=NaN_1_50", "circles=100_100", "__proto__=1", "constructor=x", "toString", "%3Cscript%3E=1"),
+    "<img/src=x/onerror=alert(1)>=1",
+)
 
 
-def test_a_link_restores_its_scene_and_the_same_episodes(window, opened):
+def test_a_link_restores_its_scene_and_the_same_episodes(browser, opened):
     ends = []
     for _ in range(2):
-        visit(window, opened, f"#{SCENE}")
-        assert ask(window, "playground.scene") == {
+        visit(browser, opened, f"#{SCENE}")
+        assert ask(browser, "playground.scene") == {
             **{name: one.first for name, one in SETTINGS.items()},
             "task": "drone", "layouts": "test", "layout": 12, "k": 8,
             "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
             "pilots": ["reactive", "ppo-tanh-0", "nobody", "you"], "focus": 4,
             "speed": 0.25, "greedy": True, "seed": 9,
         }  # fmt: skip
-        assert not one(window, "#notice").is_displayed()
-        steps(window, 50)
-        ends.append(ask(window, "playground.race.drones.map(({ state }) => [state.x, state.y])"))
+        assert not one(browser, "#notice").is_displayed()
+        steps(browser, 50)
+        ends.append(ask(browser, "playground.race.drones.map(({ state }) => [state.x, state.y])"))
     assert ends[0] == ends[1]
-    assert ask(window, WRITTEN) == SCENE
-    one(window, "#next").click()
+    assert ask(browser, WRITTEN) == SCENE
+    one(browser, "#next").click()
     wait(
-        window,
-        lambda: "layouts=test&layout=13&pilots=reactive~ppo-tanh-0~nobody~you&focus=4" in window.current_url,
+        browser,
+        lambda: "layouts=test&layout=13&pilots=reactive~ppo-tanh-0~nobody~you&focus=4" in browser.current_url,
     )
 
 
 def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
     first = ask(browser, "playground.data.scene")
-    for bad in BAD.split():
-        follow(browser, f"speed=2&{bad}")
+    for bad in BAD:
+        browser.execute_script("location.hash = arguments[0]", f"speed=2&{bad}")
+        wait(browser, lambda: one(browser, "#notice").is_displayed())
         assert ask(browser, "playground.scene") == {**first, "speed": 2}, bad
         name = ask(browser, "location.hash").partition("&")[2].partition("=")[0][:20]
         assert one(browser, "#notice").text == f"Left out of the link, because it is not right: {name}."
-        follow(browser, "")
-        assert not one(browser, "#notice").is_displayed()
+        browser.execute_script("location.hash = ''")
+        wait(browser, lambda: not one(browser, "#notice").is_displayed())
     assert find(browser, "#notice *, img, script:not([type]) ~ script") == []
 
 
@@ -163,8 +165,11 @@ def touch(browser, kind, *points):
 
 def on_screen(browser, x, y):
     """Where a point of the world [px] is in the window."""
-    rect = "document.querySelector('#arena').getBoundingClientRect()"
-    box = ask(browser, f"(({{ left, top, width }}) => [left, top, width])({rect})")
+    box = ask(
+        browser,
+        "(({ left, top, width }) => [left, top, "
+        "width])(document.querySelector('#arena').getBoundingClientRect())",
+    )
     return box[0] + x * box[2] / 800, box[1] + (600 - y) * box[2] / 800
 
 
@@ -246,12 +251,17 @@ def test_a_drone_is_handed_over_in_mid_episode_and_taken_back_where_it_is(browse
     press(browser, "3", "t")
     assert states(browser) == ["flying"] * 4  # drone 1 waited, and is flown by the scripted policy now
     before = drone(browser, 2)
-    assert pilots(browser) == ["reactive", "ppo-tanh-0", "you", "reactive"]
+    assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == [
+        "reactive",
+        "ppo-tanh-0",
+        "you",
+        "reactive",
+    ]
     press(browser, Keys.ARROW_UP)
     steps(browser, 1)
     assert drone(browser, 2)["steps"] == before["steps"] + 1
     press(browser, "r", "t")  # also after the race began again
-    assert pilots(browser)[2] == "dqn-tanh-0"
+    assert ask(browser, "playground.race.drones[2].pilot") == "dqn-tanh-0"
     for configuration in CONFIGURATIONS:
         there = drone(browser, 2)
         Select(one(browser, "#pilot")).select_by_value(f"{configuration.replace('/', '-')}-1")
@@ -333,8 +343,11 @@ def test_a_crash_is_told_with_what_one_can_do_next_while_the_others_fly_on(brows
     assert crashed["reward"] == pytest.approx(0.01 * (crashed["distance"] - 9) - 10)  # of its last step
     wait(browser, lambda: drone(browser, 3)["steps"] > crashed["steps"] + 2)
     one(browser, "#banner-next").click()
-    found = ask(browser, "[playground.scene.layout, playground.race.steps, playground.playing]")
-    assert found == [4, 0, False]
+    assert ask(browser, "[playground.scene.layout, playground.race.steps, playground.playing]") == [
+        4,
+        0,
+        False,
+    ]
     press(browser, *([Keys.ARROW_UP] * 9))
     wait(browser, lambda: one(browser, "#banner-again").is_displayed(), 20)
     press(browser, Keys.ENTER)
@@ -345,55 +358,57 @@ def test_a_crash_is_told_with_what_one_can_do_next_while_the_others_fly_on(brows
     assert one(browser, "#banner-words").text == "All have crashed."
 
 
-def test_a_crash_stays_with_the_pilot_that_had_it_whoever_has_the_drone_next(window, opened):
+def test_a_crash_stays_with_the_pilot_that_had_it_whoever_has_the_drone_next(browser, opened):
     """A person who crashed takes another drone; a policy's crash is not the person's who takes its drone."""
-    visit(window, opened, "#pilots=you~straight~reactive~nobody")
-    press(window, ".", *([Keys.ARROW_UP] * 9))
-    steps(window, 60)
-    assert states(window)[:3] == ["crashed", "crashed", "flying"]
+    visit(browser, opened, "#pilots=you~straight~reactive~nobody")
+    press(browser, ".", *([Keys.ARROW_UP] * 9))
+    steps(browser, 60)
+    assert states(browser)[:3] == ["crashed", "crashed", "flying"]
     names = "document.querySelectorAll('.who')"
-    press(window, "3", "t")
-    steps(window, 5)
-    assert ask(window, f"[...{names}].map((one) => one.textContent)") == ["You", "Scripted", "You", "–"]
-    assert states(window)[:3] == ["crashed", "crashed", "flying"]
-    assert not one(window, "#banner").is_displayed()  # the drone that is flown now has not ended
-    press(window, "2", "t")
-    assert ask(window, f"[...{names}].map((one) => one.textContent)") == ["You", "Scripted", "Scripted", "–"]
-    assert one(window, "#acts").text.startswith(
+    press(browser, "3", "t")
+    steps(browser, 5)
+    assert ask(browser, f"[...{names}].map((one) => one.textContent)") == ["You", "Scripted", "You", "–"]
+    assert states(browser)[:3] == ["crashed", "crashed", "flying"]
+    assert not one(browser, "#banner").is_displayed()  # the drone that is flown now has not ended
+    press(browser, "2", "t")
+    assert ask(browser, f"[...{names}].map((one) => one.textContent)") == ["You", "Scripted", "Scripted", "–"]
+    assert one(browser, "#acts").text.startswith(
         "This drone's episode has ended: the next start hands it over."
     )
-    press(window, "r")
-    assert pilots(window) == ["reactive", "you", "reactive", "nobody"]
+    press(browser, "r")
+    assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == [
+        *("reactive", "you", "reactive", "nobody"),
+    ]
 
 
-def test_a_drone_that_nobody_had_can_be_taken_and_handed_back(window, opened):
-    visit(window, opened, "#pilots=you~ppo-tanh-0~dqn-tanh-0~nobody")
-    for last in (["reactive", "ppo-tanh-0", "dqn-tanh-0", "you"], ["reactive"]):
-        press(window, "4", "t")
-        assert pilots(window)[-len(last) :] == last
-    press(window, "2", "t", "t")
-    assert pilots(window)[1] == "ppo-tanh-0"
+def test_a_drone_that_nobody_had_can_be_taken_and_handed_back(browser, opened):
+    visit(browser, opened, "#pilots=you~ppo-tanh-0~dqn-tanh-0~nobody")
+    for pilots in (["reactive", "ppo-tanh-0", "dqn-tanh-0", "you"], ["reactive"]):
+        press(browser, "4", "t")
+        assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)")[-len(pilots) :] == pilots
+    press(browser, "2", "t", "t")
+    assert ask(browser, "playground.race.drones[1].pilot") == "ppo-tanh-0"
 
 
-def test_who_waits_can_still_fly_once_all_others_have_crashed_and_step_flies_who_is_alone(window, opened):
-    visit(window, opened, "#pilots=you~straight~straight~nobody")
-    steps(window, 60)
-    assert states(window)[:3] == ["waiting", "crashed", "crashed"]
-    press(window, Keys.ARROW_UP)
-    wait(window, lambda: drone(window)["steps"] > 1)
-    assert not one(window, "#banner").is_displayed()
-    visit(window, opened, "#pilots=you~nobody~nobody~nobody")
-    one(window, "#one-step").click()
-    assert drone(window)["steps"] == 1
+def test_who_waits_can_still_fly_once_all_others_have_crashed_and_step_flies_who_is_alone(browser, opened):
+    visit(browser, opened, "#pilots=you~straight~straight~nobody")
+    steps(browser, 60)
+    assert states(browser)[:3] == ["waiting", "crashed", "crashed"]
+    press(browser, Keys.ARROW_UP)
+    wait(browser, lambda: drone(browser)["steps"] > 1)
+    assert not one(browser, "#banner").is_displayed()
+    visit(browser, opened, "#pilots=you~nobody~nobody~nobody")
+    one(browser, "#one-step").click()
+    assert drone(browser)["steps"] == 1
 
 
-def test_a_key_that_was_tapped_after_a_crash_turns_nobody_in_the_next_race(window, opened):
-    visit(window, opened, "#pilots=you~nobody~nobody~nobody&layout=0")
-    press(window, *([Keys.ARROW_UP] * 9))
-    wait(window, lambda: one(window, "#banner-again").is_displayed(), 20)
-    press(window, Keys.ARROW_LEFT, "r", Keys.ARROW_UP)
-    wait(window, lambda: drone(window)["steps"] > 2)
-    assert drone(window)["heading"] == 90
+def test_a_key_that_was_tapped_after_a_crash_turns_nobody_in_the_next_race(browser, opened):
+    visit(browser, opened, "#pilots=you~nobody~nobody~nobody&layout=0")
+    press(browser, *([Keys.ARROW_UP] * 9))
+    wait(browser, lambda: one(browser, "#banner-again").is_displayed(), 20)
+    press(browser, Keys.ARROW_LEFT, "r", Keys.ARROW_UP)
+    wait(browser, lambda: drone(browser)["steps"] > 2)
+    assert drone(browser)["heading"] == 90
 
 
 def test_a_key_that_is_held_down_toggles_once_and_steps_again_and_again(browser):
@@ -408,34 +423,34 @@ def test_a_key_that_is_held_down_toggles_once_and_steps_again_and_again(browser)
     assert ask(browser, "playground.race.steps") == there + 4
 
 
-def test_a_number_that_is_half_typed_stays_when_a_drone_crashes(window, opened):
-    visit(window, opened, "#pilots=straight~reactive~nobody~nobody")
-    one(window, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, "7")
-    steps(window, 60)
-    assert states(window)[:2] == ["crashed", "flying"]
-    assert (one(window, "#seed").get_property("value"), ask(window, "playground.scene.seed")) == ("7", 0)
+def test_a_number_that_is_half_typed_stays_when_a_drone_crashes(browser, opened):
+    visit(browser, opened, "#pilots=straight~reactive~nobody~nobody")
+    one(browser, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, "7")
+    steps(browser, 60)
+    assert states(browser)[:2] == ["crashed", "flying"]
+    assert (one(browser, "#seed").get_property("value"), ask(browser, "playground.scene.seed")) == ("7", 0)
 
 
-def test_a_drag_ends_with_the_circle_that_it_held(window, opened):
+def test_a_drag_ends_with_the_circle_that_it_held(browser, opened):
     """Also where a key deletes it, begins again, or ends the drawing: no other circle is moved."""
     other = [650, 450, 40]
 
     def mouse(kind, *at):
-        (x, y), buttons = on_screen(window, *at), int(kind != "mouseReleased")
+        (x, y), buttons = on_screen(browser, *at), int(kind != "mouseReleased")
         event = {"type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1}
-        window.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+        browser.execute_cdp_cmd("Input.dispatchMouseEvent", event)
 
     for key, left in ((Keys.DELETE, []), ("r", [[160, 160, 40]]), ("e", [[160, 160, 40]])):
-        visit(window, opened)
-        one(window, "#draw").click()
-        window.execute_script("playground.edit([[150, 150, 40], arguments[0]], 0)", other)
+        visit(browser, opened)
+        one(browser, "#draw").click()
+        browser.execute_script("playground.edit([[150, 150, 40], arguments[0]], 0)", other)
         mouse("mousePressed", 150, 150)
         mouse("mouseMoved", 160, 160)
-        press(window, key)
+        press(browser, key)
         mouse("mouseMoved", 200, 200)
         mouse("mouseReleased", 200, 200)
         expected = [pytest.approx(circle, abs=1) for circle in [*left, other]]
-        assert ask(window, "playground.race.circles") == expected
+        assert ask(browser, "playground.race.circles") == expected
 
 
 def test_a_long_press_and_a_second_finger_leave_circles_as_they_are(browser):
@@ -508,35 +523,38 @@ def test_layouts_are_those_of_the_splits_by_number_and_sliders_draw_others(brows
     assert ask(browser, "[playground.scene.layouts, playground.race.circles.length]") == ["random", 5]
 
 
-def test_random_layouts_of_other_numbers_are_other_layouts_and_of_the_same_number_the_same(browser):
-    for task in ABOUT:
-        drawn = []
-        for number in (4, 5, 4):
-            follow(browser, f"task={task}&layouts=random&layout={number}&k=8")
-            drawn.append(ask(browser, "playground.race.layout"))
-        assert drawn[0] == drawn[2] != drawn[1], task
+@pytest.mark.parametrize("task", ABOUT)
+def test_random_layouts_of_other_numbers_are_other_layouts_and_of_the_same_number_the_same(
+    task, browser, opened
+):
+    drawn = []
+    for number in (4, 5, 4):
+        visit(browser, opened, f"#task={task}&layouts=random&layout={number}&k=8")
+        drawn.append(ask(browser, "playground.race.layout"))
+    assert drawn[0] == drawn[2] != drawn[1]
 
 
 @pytest.fixture
-def downloads(window, tmp_path):
-    where = {"behavior": "allow", "downloadPath": str(tmp_path)}
-    window.execute_cdp_cmd("Browser.setDownloadBehavior", where)
+def downloads(browser, tmp_path):
+    browser.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
+    )
     return tmp_path
 
 
-def test_episodes_by_hand_are_kept_and_shown_by_a_report(window, opened, downloads, monkeypatch, capsys):
-    window.execute_script("localStorage.clear()")
+def test_episodes_by_hand_are_kept_and_shown_by_a_report(browser, opened, downloads, monkeypatch, capsys):
+    browser.execute_script("localStorage.clear()")
     monkeypatch.chdir(downloads)
     kept = downloads / "human.csv"
     ends = []
     for number in (0, 1):
-        visit(window, opened, f"#layout={number}&pilots=you~nobody~nobody~nobody&focus=1")
-        press(window, Keys.ARROW_UP, *([Keys.ARROW_UP] * 8))
-        wait(window, lambda: one(window, "#banner-keep").is_displayed(), 20)
-        ends.append(drone(window))
-        press(window, "k")
-        assert one(window, "#notice").text.endswith("For a report: uavnav play --keep human.csv")
-        wait(window, kept.exists)
+        visit(browser, opened, f"#layout={number}&pilots=you~nobody~nobody~nobody&focus=1")
+        press(browser, Keys.ARROW_UP, *([Keys.ARROW_UP] * 8))
+        wait(browser, lambda: one(browser, "#banner-keep").is_displayed(), 20)
+        ends.append(drone(browser))
+        press(browser, "k")
+        assert one(browser, "#notice").text.endswith("For a report: uavnav play --keep human.csv")
+        wait(browser, kept.exists)
         assert main(["play", "--keep", str(kept), "--person", "2"]) == 0
         kept.unlink()
     assert capsys.readouterr().out.splitlines()[1].startswith(f"{play.ROWS}: 2 episodes, 1 of them new")
@@ -546,8 +564,8 @@ def test_episodes_by_hand_are_kept_and_shown_by_a_report(window, opened, downloa
         assert rows[column].tolist() == pytest.approx([end[column] for end in ends])
     assert rows["terminated"].all()
     assert rows.attrs == {"layouts": "test", "max_steps": 10_000}
-    press(window, "k")
-    assert one(window, "#notice").text.startswith("There is no new episode to keep")
+    press(browser, "k")
+    assert one(browser, "#notice").text.startswith("There is no new episode to keep")
 
 
 def test_only_whole_episodes_by_hand_on_test_layouts_as_they_are_can_be_kept(browser, opened):
@@ -557,7 +575,7 @@ def test_only_whole_episodes_by_hand_on_test_layouts_as_they_are_can_be_kept(bro
         "": True, "layouts=train": False, "sticky=0.5": False, "task=moving": False, "circles=none": False,
         "pilots=reactive~you~nobody~nobody": False,
     }.items():  # fmt: skip
-        follow(browser, f"speed=1&{fragment}")
+        visit(browser, opened, f"#{fragment}")
         assert ask(browser, kept) == expected, fragment
     visit(browser, opened)
     press(browser, "1", "t")
@@ -598,20 +616,20 @@ def test_a_rung_of_the_slalom_has_only_the_circles_that_are_there_and_its_link_r
 
 
 @pytest.mark.parametrize("world", ["drone", "moving"])
-def test_a_saved_layout_is_one_that_every_command_reads(world, window, opened, downloads):
-    visit(window, opened, f"#task={world}&layout=5")
-    one(window, "#draw").click()
-    one(window, "#add").click()
-    drawn = ask(window, "playground.race.layout.circles")
-    press(window, "b")
+def test_a_saved_layout_is_one_that_every_command_reads(world, browser, opened, downloads):
+    visit(browser, opened, f"#task={world}&layout=5")
+    one(browser, "#draw").click()
+    one(browser, "#add").click()
+    drawn = ask(browser, "playground.race.layout.circles")
+    press(browser, "b")
     path = downloads / "own.safetensors"
-    wait(window, path.exists)
+    wait(browser, path.exists)
     (saved,) = make_task(path, task=world).layouts
     assert saved.double().tolist() == drawn
     assert len(saved) == 9
-    visit(window, opened, "#task=goal")
-    press(window, "b")
-    assert one(window, "#notice").text.startswith("Only layouts with obstacles and without a goal")
+    visit(browser, opened, "#task=goal")
+    press(browser, "b")
+    assert one(browser, "#notice").text.startswith("Only layouts with obstacles and without a goal")
 
 
 # -- how it looks --------------------------------------------------------------------------------------------
@@ -622,16 +640,16 @@ def test_a_saved_layout_is_one_that_every_command_reads(world, window, opened, d
     [(WIDE, "light", "#task=goal&lost=0.1"), (NARROW, "dark", "#task=moving")],
 )
 def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(
-    window, opened, width, colours, fragment
+    browser, opened, width, colours, fragment
 ):
-    visit(window, opened, fragment, width=width, colours=colours)
-    window.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
-    one(window, "#draw").click()
-    assert violations(window) == []
-    assert {name: ratio for name, ratio in window.execute_script(PAIRS).items() if ratio < 4.5} == {}
-    assert window.execute_script(FONTS) == []
-    assert ask(window, "document.documentElement.scrollWidth") <= width
-    for control in find(window, "button, select, input"):
+    visit(browser, opened, fragment, width=width, colours=colours)
+    browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    one(browser, "#draw").click()
+    assert violations(browser) == []
+    assert {name: ratio for name, ratio in browser.execute_script(PAIRS).items() if ratio < 4.5} == {}
+    assert browser.execute_script(FONTS) == []
+    assert ask(browser, "document.documentElement.scrollWidth") <= width
+    for control in find(browser, "button, select, input"):
         if control.is_displayed():
             assert control.rect["x"] + control.rect["width"] <= width
             assert control.rect["height"] >= 18
@@ -713,17 +731,17 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
     assert ask(browser, "playground.race.flying().length") == 3
 
 
-def test_reactive_reaches_its_goal_and_the_page_says_so(window, opened):
-    visit(window, opened, "#task=goal&pilots=nobody~nobody~nobody~reactive&focus=4")
-    steps(window, 1000)
-    assert states(window)[3] == "arrived"
-    assert one(window, "#banner-words").text == "The race is over."
-    assert "4, Scripted reactive: arrived" in one(window, "#status").get_property("textContent")
-    assert one(window, "#sensor").get_attribute("aria-label").endswith(" px")
-    visit(window, opened, "#task=goal&pilots=you~nobody~nobody~nobody")
-    window.execute_script("playground.race.begin()")
-    steps(window, 1000)
-    assert states(window)[0] == "time limit"
+def test_reactive_reaches_its_goal_and_the_page_says_so(browser, opened):
+    visit(browser, opened, "#task=goal&pilots=nobody~nobody~nobody~reactive&focus=4")
+    steps(browser, 1000)
+    assert states(browser)[3] == "arrived"
+    assert one(browser, "#banner-words").text == "The race is over."
+    assert "4, Scripted reactive: arrived" in one(browser, "#status").get_property("textContent")
+    assert one(browser, "#sensor").get_attribute("aria-label").endswith(" px")
+    visit(browser, opened, "#task=goal&pilots=you~nobody~nobody~nobody")
+    browser.execute_script("playground.race.begin()")
+    steps(browser, 1000)
+    assert states(browser)[0] == "time limit"
 
 
 def test_networks_trained_with_faults_say_so(tmp_path):
@@ -775,69 +793,69 @@ def test_named_runs_and_zips_fly_when_the_page_opens_in_the_colours_of_the_one_t
     )
 
 
-def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(window, opened):
-    visit(window, opened, "#task=moving&pace=4&pilots=you~nobody~nobody~nobody&focus=1")
-    window.execute_script("playground.race.begin()")
-    first = ask(window, "playground.race.obstaclesAt(1)")
-    steps(window, 20)
-    later = ask(window, "playground.race.obstaclesAt(1)")
-    assert ask(window, "playground.race.task.obstacles(playground.race.layout, 20)") == later
+def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(browser, opened):
+    visit(browser, opened, "#task=moving&pace=4&pilots=you~nobody~nobody~nobody&focus=1")
+    browser.execute_script("playground.race.begin()")
+    first = ask(browser, "playground.race.obstaclesAt(1)")
+    steps(browser, 20)
+    later = ask(browser, "playground.race.obstaclesAt(1)")
+    assert ask(browser, "playground.race.task.obstacles(playground.race.layout, 20)") == later
     assert sum(a != b for a, b in zip(first, later, strict=True)) >= 7
-    assert ask(window, "playground.race.obstaclesAt(0.5)") != later
-    one(window, "#draw").click()
-    assert ask(window, "playground.race.steps") == 0
-    one(window, "#add").click()
-    assert len(ask(window, "playground.race.circles")) == 9
-    one(window, "#play").click()
-    assert not ask(window, "playground.stage.drawing")
-    wait(window, lambda: ask(window, "playground.race.steps") > 1)
-    one(window, "#play").click()
-    drawn = ask(window, "playground.race.layout")
-    wait(window, lambda: "circles=" in window.current_url)
-    visit(window, opened, f"#{window.current_url.partition('#')[2]}")
-    for mine, other in zip(ask(window, "playground.race.layout.circles"), drawn["circles"], strict=True):
+    assert ask(browser, "playground.race.obstaclesAt(0.5)") != later
+    one(browser, "#draw").click()
+    assert ask(browser, "playground.race.steps") == 0
+    one(browser, "#add").click()
+    assert len(ask(browser, "playground.race.circles")) == 9
+    one(browser, "#play").click()
+    assert not ask(browser, "playground.stage.drawing")
+    wait(browser, lambda: ask(browser, "playground.race.steps") > 1)
+    one(browser, "#play").click()
+    drawn = ask(browser, "playground.race.layout")
+    wait(browser, lambda: "circles=" in browser.current_url)
+    visit(browser, opened, f"#{browser.current_url.partition('#')[2]}")
+    for mine, other in zip(ask(browser, "playground.race.layout.circles"), drawn["circles"], strict=True):
         assert mine == pytest.approx(other, abs=0.06)
 
 
-def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_handed_over(window, opened):
-    visit(window, opened, "#task=moving&pace=4&pilots=reactive~nobody~nobody~nobody&layout=3")
-    steps(window, 25)
-    window.execute_script("playground.handTo(1, 'reactive')")
+def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_handed_over(browser, opened):
+    visit(browser, opened, "#task=moving&pace=4&pilots=reactive~nobody~nobody~nobody&layout=3")
+    steps(browser, 25)
+    browser.execute_script("playground.handTo(1, 'reactive')")
     expected = "playground.race.task.obstacles(playground.race.layout, playground.race.steps)"
     # px, at the start
     near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"
     waited, clearance = ask(
-        window, "(({ state, clearance }) => [state, clearance])(playground.race.drones[1])"
+        browser, "(({ state, clearance }) => [state, clearance])(playground.race.drones[1])"
     )
     assert (waited["steps"], waited["waited"], waited["x"], waited["y"]) == (0, 25, 400, 300)
-    assert clearance == pytest.approx(ask(window, near), abs=1e-3)
-    assert clearance != pytest.approx(ask(window, near.replace("playground.race.steps", "0")), abs=1)
-    steps(window, 1)
-    assert ask(window, "playground.race.drones.map(({ state }) => state.steps)") == [26, 1, 0, 0]
+    assert clearance == pytest.approx(ask(browser, near), abs=1e-3)
+    assert clearance != pytest.approx(ask(browser, near.replace("playground.race.steps", "0")), abs=1)
+    steps(browser, 1)
+    assert ask(browser, "playground.race.drones.map(({ state }) => state.steps)") == [26, 1, 0, 0]
 
 
-def test_a_drone_that_waits_senses_obstacles_where_they_are_and_shows_it(window, opened):
-    visit(window, opened, "#task=moving&layouts=random&pace=6&pilots=you~reactive~nobody~nobody&focus=1")
-    steps(window, 40)
+def test_a_drone_that_waits_senses_obstacles_where_they_are_and_shows_it(browser, opened):
+    visit(browser, opened, "#task=moving&layouts=random&pace=6&pilots=you~reactive~nobody~nobody&focus=1")
+    steps(browser, 40)
     expected = "playground.race.task.obstacles(playground.race.layout, playground.race.steps)"
-    near = ask(window, f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)")
-    assert states(window)[0] == "waiting"
-    assert ask(window, "playground.race.drones[0].clearance") == pytest.approx(near, abs=1e-3)
-    told = one(window, "#sensor").get_attribute("aria-label")
+    near = ask(browser, f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)")
+    assert states(browser)[0] == "waiting"
+    assert ask(browser, "playground.race.drones[0].clearance") == pytest.approx(near, abs=1e-3)
+    told = one(browser, "#sensor").get_attribute("aria-label")
     assert told.endswith(f"; the nearest edge at {near:.0f} px".replace("-", "−"))
 
 
-def test_the_speed_that_is_shown_is_that_of_the_obstacles_also_of_a_split(window, opened):
+def test_the_speed_that_is_shown_is_that_of_the_obstacles_also_of_a_split(browser, opened):
     fastest = "Math.max(...playground.race.layout.circles.map(([, , , vx, vy]) => Math.hypot(vx, vy)))"
     for split, most in (("random", 6), ("test", 2), ("random", 2)):
         if split == "random" and most == 6:
-            visit(window, opened, "#task=moving&layouts=random&pace=6")
+            visit(browser, opened, "#task=moving&layouts=random&pace=6")
         else:
-            Select(one(window, "#layouts")).select_by_value(split)
-        assert one(window, "#pace-now").text == f"{most} px/step"
-        assert most / 2 < ask(window, fastest) <= most
-    visit(window, opened, "#task=moving&layouts=test&pace=6")
-    assert one(window, "#pace-now").text == "2 px/step"
+            Select(one(browser, "#layouts")).select_by_value(split)
+        assert one(browser, "#pace-now").text == f"{most} px/step"
+        assert most / 2 < ask(browser, fastest) <= most
+    visit(browser, opened, "#task=moving&layouts=test&pace=6")
+    assert one(browser, "#pace-now").text == "2 px/step"
 
 
 @pytest.mark.parametrize(("least", "most"), [(0, 4), (3, 7.25)])
@@ -859,30 +877,30 @@ def test_the_speed_that_is_shown_is_that_of_the_runs_task(least, most, chrome, t
     assert ask(chrome, fastest) <= 2 + 1e-6
 
 
-def test_an_edited_obstacle_leaves_what_sticks_as_it_is(window, opened):
-    visit(window, opened, "#sticky=0.5&pilots=reactive~nobody~nobody~nobody")
-    steps(window, 3)
-    before = ask(window, "playground.race.drones[0].state.executed")
-    window.execute_script("playground.edit([])")
-    assert ask(window, "playground.race.drones[0].state.executed") == before == 9
+def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
+    visit(browser, opened, "#sticky=0.5&pilots=reactive~nobody~nobody~nobody")
+    steps(browser, 3)
+    before = ask(browser, "playground.race.drones[0].state.executed")
+    browser.execute_script("playground.edit([])")
+    assert ask(browser, "playground.race.drones[0].state.executed") == before == 9
 
 
-def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(window, opened):
-    visit(window, opened, "#task=goal&layout=5")
-    assert ask(window, "playground.focus") == 0  # the first that can fly
-    goal_x, goal_y = ask(window, "playground.race.layout.goal")
+def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(browser, opened):
+    visit(browser, opened, "#task=goal&layout=5")
+    assert ask(browser, "playground.focus") == 0  # the first that can fly
+    goal_x, goal_y = ask(browser, "playground.race.layout.goal")
     placed = "allowed(playground.world, [...arguments, 100], playground.race.free)"
     for at in ((goal_x, goal_y), (goal_x + 30, goal_y), (400, 300), (400, 449)):
-        assert window.execute_script(f"return {placed}", *at) is None
-    assert window.execute_script(f"return {placed}", -9, 700) == [0, 600, 100]
+        assert browser.execute_script(f"return {placed}", *at) is None
+    assert browser.execute_script(f"return {placed}", -9, 700) == [0, 600, 100]
     assert np.hypot(goal_x, goal_y - 600) - 100 >= goal.ROOM
     for at, words in ((f"{goal_x:.1f}_{goal_y:.1f}", "circles"), ("0_600", "")):
-        visit(window, opened, f"#task=goal&layout=5&circles={at}_100")
-        assert one(window, "#notice").text.endswith(f": {words}." if words else "")
-        assert bool(ask(window, "playground.scene.circles")) != bool(words)
+        visit(browser, opened, f"#task=goal&layout=5&circles={at}_100")
+        assert one(browser, "#notice").text.endswith(f": {words}." if words else "")
+        assert bool(ask(browser, "playground.scene.circles")) != bool(words)
 
 
-def test_faults_are_sliders_in_a_link_and_change_the_episodes(browser):
+def test_faults_are_sliders_in_a_link_and_change_the_episodes(browser, opened):
     ends = []
     for value in (0, 0.5, 0):
         slide(browser, "sticky", value)
@@ -897,7 +915,7 @@ def test_faults_are_sliders_in_a_link_and_change_the_episodes(browser):
     assert ask(browser, "playground.race.drones[1].state.seen.length") == 3
 
 
-def test_a_link_restores_another_world_with_its_settings(browser):
+def test_a_link_restores_another_world_with_its_settings(browser, opened):
     scenes = (
         "task=slalom&gap=90&sticky=0.25&layouts=random&layout=4&k=8",
         "task=moving&pace=5.5&layouts=random&layout=1&k=3",
@@ -905,7 +923,7 @@ def test_a_link_restores_another_world_with_its_settings(browser):
     )
     for scene in scenes:
         link = f"{scene}&pilots=you~ppo-relu-1~nobody~reactive&focus=4&speed=2&greedy=no&seed=7"
-        follow(browser, link)
+        visit(browser, opened, f"#{link}")
         assert not one(browser, "#notice").is_displayed()
         found = ask(browser, "playground.scene")
         for part in scene.split("&"):

@@ -46,7 +46,7 @@ def compared(tmp_path_factory):
         patch.setattr(
             replays,
             "_layouts",
-            lambda task, *sets: ABOVE if hasattr(task.world, "goal_radius") else layouts(task),
+            lambda task, split: ABOVE if hasattr(task.world, "goal_radius") else layouts(task, split),
         )
         (folder / "compare.html").write_bytes(page(contenders))
     return folder / "compare.html"

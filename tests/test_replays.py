@@ -26,11 +26,11 @@ def _few_sets():
         yield
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Seed 4 flies by a random network, seed 5 straight on, seed 6 not at all; others: test_algorithms."""
-    folder = tmp_path_factory.mktemp("replays")
-    return write_policies(folder / "run", "dqn", seed=4, prefer=[(1, STRAIGHT), (2, STAY)])
+@pytest.fixture(scope="module", params=["ppo", "dqn"])
+def run(request, tmp_path_factory):
+    """Seed 4 flies by a random network, seed 5 straight on, seed 6 not at all."""
+    folder = tmp_path_factory.mktemp("replays") / request.param
+    return write_policies(folder / "run", request.param, seed=4, prefer=[(1, STRAIGHT), (2, STAY)])
 
 
 @pytest.fixture(scope="module")
@@ -57,26 +57,23 @@ def test_poses_are_within_half_tenth_of_pixel_of_slow_episode_and_values_within_
     assert len(chosen) > 5
 
 
-@pytest.fixture(scope="module")
-def simple(tmp_path_factory):
-    """Of PPO on one layout: seed 0 flies straight on, seed 1 not at all."""
-    folder = tmp_path_factory.mktemp("simple")
-    write_policies(folder / "run", prefer=[(0, STRAIGHT), (1, STAY)], n_seeds=2)
-    return recorded(folder, n_layouts=1)
+def test_values_are_probabilities_of_ppo_and_q_of_dqn(run, data):
+    (configuration,) = data["configurations"]
+    found = unpack(configuration["episodes"][3], data["fields"])
+    if configuration["algorithm"] == "ppo":
+        assert configuration["values"] == "probability"
+        assert found["high"] == pytest.approx(1.0)
+    else:
+        assert configuration["values"] == "Q value"
+        assert found["high"] == pytest.approx(50.0)
+    assert (found["value"][:, STRAIGHT] == 1.0).all()
 
 
-def test_values_are_probabilities_of_ppo_and_q_of_dqn(data, simple):
-    for recording, place, kind, high in ((simple, 0, "probability", 1.0), (data, 3, "Q value", 50.0)):
-        (configuration,) = recording["configurations"]
-        found = unpack(configuration["episodes"][place], recording["fields"])
-        assert configuration["values"] == kind
-        assert found["high"] == pytest.approx(high)
-        assert (found["value"][:, STRAIGHT] == 1.0).all()
-
-
-def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(simple):
-    straight, stay = simple["configurations"][0]["episodes"]
-    found = unpack(straight, simple["fields"])
+def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(tmp_path):
+    write_policies(tmp_path / "run", prefer=[(0, STRAIGHT), (1, STAY)], n_seeds=2)
+    data = recorded(tmp_path, n_layouts=1)
+    straight, stay = data["configurations"][0]["episodes"]
+    found = unpack(straight, data["fields"])
     assert found["y"][:, 0] == pytest.approx(300 + 9 * np.arange(straight["steps"] + 1))
     assert set(found["heading"][:, 0]) == {90}
     assert straight["ended"] == "collision"

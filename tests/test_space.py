@@ -22,6 +22,7 @@ from uavnav.tasks.table import make_task
 write_layouts = functools.partial(commands.run, "layouts")
 
 SENSED = {"sense_velocity": True}
+SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +120,25 @@ def test_at_a_height_of_its_own_and_level_a_slot_is_that_of_the_papers_world_bit
     assert not seen[..., 1].any()
 
 
+@pytest.mark.parametrize(("name", "fields"), SWITCHES)
+def test_what_faults_make_of_it_is_said_of_true_slots(splits, name, fields):
+    given = {"noise": 4.0, "lost": 0.3}
+    task = make_task(splits[name], fields, task=name, faults=given)
+    state, draws = random_states(task, 300), task.draw(300, torch.Generator().manual_seed(1))
+    true, near = task.task.observe(state)
+    memory = task.remember(state, draws)
+    found, clearance = memory.seen[:, 0], task.observe(memory)[1]
+    true, found = (one.reshape(300, 10, -1) for one in (true, found))
+    assert torch.equal(near, clearance)
+    lost = (draws[:, 10:20] < 0.3) | (true[..., :3] == 0).all(-1)
+    assert (found[lost] == torch.eye(found.shape[-1])[3]).all()
+    others = [index for index in range(found.shape[-1]) if index != 3]
+    assert torch.equal(found[~lost][:, others], true[~lost][:, others])
+    inside = ~lost & (true[..., 3] > 0.3) & (true[..., 3] < 0.7)
+    noisy = true[..., 3] + 4 * draws[:, :10] / 90
+    torch.testing.assert_close(found[..., 3][inside], noisy[inside], rtol=0, atol=1e-5)
+
+
 # -- how it flies --------------------------------------------------------------------------------------------
 
 
@@ -151,6 +171,24 @@ def test_28_steps_straight_ahead_from_the_start_of_an_empty_box_and_the_wall_is_
         assert outcome.clearance.item() == 280 - 9 * n
         assert outcome.terminated.item() == (n == 28)
     assert state.reward.item() == pytest.approx(27 * 0.09 - 10)
+
+
+def test_a_late_observation_and_an_action_that_sticks_are_those_of_a_loop(splits):
+    task = make_task(splits["space"], task="space", faults={"late": 2, "sticky": 0.5}, stack=2)
+    clear = make_task(splits["space"], task="space")
+    generator = torch.Generator().manual_seed(4)
+    layout = torch.arange(30)
+    state = task.start(layout, 0 * layout + 90, task.draw(30, generator))
+    mine = clear.start(layout, 0 * layout + 90)
+    seen, last = [clear.observe(mine)[0]] * 4, None
+    for t in range(25):
+        action, draws = torch.randint(100, (30,), generator=generator), task.draw(30, generator)
+        executed = action if last is None else torch.where(draws[:, -1] < 0.5, last, action)
+        state, outcome = task.step(state, action, draws)
+        mine, expected = clear.step(mine, executed)
+        seen, last = [expected.observation, *seen], executed
+        assert torch.equal(outcome.observation, torch.cat([seen[2], seen[3]], -1)), t
+        assert all(torch.equal(getattr(state, name), getattr(mine, name)) for name in mine._fields)
 
 
 @pytest.mark.parametrize(("name", "fastest"), [("space", 0), ("space-moving", 2)])

@@ -12,8 +12,7 @@ import yaml
 from bad_input import a_folder, a_pipe, endless, itself, large, put
 
 from uavnav import studies
-from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.ppo import PPOConfig, train
+from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
 from uavnav.cli.study import parse, scripted_evaluations, status
 from uavnav.errors import ConfigError
@@ -236,16 +235,6 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
         assert there == plain(config), path
 
 
-def ppo(more):
-    """A study file of a configuration of PPO with more keys."""
-    return f"configurations: [{{algorithm: ppo, {more}}}]"
-
-
-def beside(keys):
-    """A study file of a configuration of PPO and other keys."""
-    return f"{keys}\nconfigurations: [{{algorithm: ppo}}]"
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -260,29 +249,68 @@ def beside(keys):
             "configurations: [{algorithm: pop}]",
             f"algorithm=pop; did you mean ppo? choose from {', '.join(sorted(ALGORITHMS))}",
         ),
-        (ppo("lrr: 1"), "there is no key 'lrr'"),
-        (ppo("lr: [0.1, 0.2]"), "two configurations share it; name in braces what they differ in"),
-        (ppo("folder: '{lr}'"), "folder={lr}: names 'lr', which the configuration does not set"),
-        (ppo("evaluate: {steps: 3}"), "evaluate={'steps': 3}; give true, false, or some of"),
-        (ppo("evaluate: {across: [arcs]}"), "across=['arcs']; give a list of some of density"),
-        (beside("obstacles: many"), "obstacles=many; give a list of numbers of obstacles, such as [4, 12]"),
-        (beside("settings: 3"), "settings=3; give keys and values"),
-        (beside("settings: {dqn: 3}"), "dqn=3; give keys and values"),
+        ("configurations: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
+        (
+            "configurations: [{algorithm: ppo, lr: [0.1, 0.2]}]",
+            "two configurations share it; name in braces what they differ in",
+        ),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr}'}]",
+            "folder={lr}: names 'lr', which the configuration does not set",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {steps: 3}}]",
+            "evaluate={'steps': 3}; give true, false, or some of",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {across: [arcs]}}]",
+            "across=['arcs']; give a list of some of density",
+        ),
+        (
+            "obstacles: many\nconfigurations: [{algorithm: ppo}]",
+            "obstacles=many; give a list of numbers of obstacles, such as [4, 12]",
+        ),
+        ("settings: 3\nconfigurations: [{algorithm: ppo}]", "settings=3; give keys and values"),
+        ("settings: {dqn: 3}\nconfigurations: [{algorithm: ppo}]", "dqn=3; give keys and values"),
         (
             "configurations: [{algorithm: [ppo, [dqn]]}]",
             "algorithm=['ppo', ['dqn']]; give a name, or a list of some",
         ),
         ("configurations: [{algorithm: []}]", "algorithm=[]; give a name, or a list of some"),
-        (ppo("3: 4"), "settings={'algorithm': 'ppo', 3: 4}; give keys and values"),
-        (ppo("lr: []"), "lr=[]; give at least one value"),
-        (ppo("hidden: []"), "hidden=[]; give at least one"),
-        (ppo("folder: '{lr.foo}', lr: 0.1"), "folder={lr.foo}: names 'lr.foo', which the configuration does"),
-        (ppo("folder: ../x"), "folder=../x: leads out of the study's own; give one within"),
-        (ppo("layouts: '{foo}'"), "layouts={foo}: names 'foo', which the configuration does not set"),
-        (ppo("evaluate: {across: [3, [4]]}"), "across=[3, [4]]; give a list of some of density"),
-        (ppo("evaluate: {episodes: abc}"), "evaluate.episodes=abc; give a whole number"),
-        (ppo("evaluate: {max_steps: 0}"), "evaluate.max_steps=0; give a number of at least 1"),
-        (ppo("evaluate: {episodes: 1001}"), "evaluate.episodes=1001; give at most 1000, the split"),
+        (
+            "configurations: [{algorithm: ppo, 3: 4}]",
+            "settings={'algorithm': 'ppo', 3: 4}; give keys and values",
+        ),
+        ("configurations: [{algorithm: ppo, lr: []}]", "lr=[]; give at least one value"),
+        ("configurations: [{algorithm: ppo, hidden: []}]", "hidden=[]; give at least one"),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr.foo}', lr: 0.1}]",
+            "folder={lr.foo}: names 'lr.foo', which the configuration does",
+        ),
+        (
+            "configurations: [{algorithm: ppo, folder: ../x}]",
+            "folder=../x: leads out of the study's own; give one within",
+        ),
+        (
+            "configurations: [{algorithm: ppo, layouts: '{foo}'}]",
+            "layouts={foo}: names 'foo', which the configuration does not set",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {across: [3, [4]]}}]",
+            "across=[3, [4]]; give a list of some of density",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {episodes: abc}}]",
+            "evaluate.episodes=abc; give a whole number",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {max_steps: 0}}]",
+            "evaluate.max_steps=0; give a number of at least 1",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {episodes: 1001}}]",
+            "evaluate.episodes=1001; give at most 1000, the split",
+        ),
         ("configurations: &a [{algorithm: ppo}]\nsettings: *a", "aliases are not taken"),
         ("[" * 500, "cannot be read (nested too deeply)"),
         ("[" * 100_000, "cannot be read (while increasing flow level exceeded maximum nesting depth"),
@@ -290,24 +318,42 @@ def beside(keys):
             "configurations: [{algorithm: ppo, lr: 0x" + "f" * 99 + "}]",
             "a whole number has more than 64 bits",
         ),
-        (beside("obstacles: [1000000000]"), "obstacles=[1000000000]; give a list of numbers of obstacles"),
-        (beside("scripted: [vfh, rrt]"), "scripted=['vfh', 'rrt']; give a list of some of random, straight"),
-        (ppo("evaluate: {shield: 3}"), "evaluate.shield=3; choose from false, true"),
         (
-            ppo("evaluate: {measures: [true, false]}"),
+            "obstacles: [1000000000]\nconfigurations: [{algorithm: ppo}]",
+            "obstacles=[1000000000]; give a list of numbers of obstacles",
+        ),
+        (
+            "scripted: [vfh, rrt]\nconfigurations: [{algorithm: ppo}]",
+            "scripted=['vfh', 'rrt']; give a list of some of random, straight",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {shield: 3}}]",
+            "evaluate.shield=3; choose from false, true",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {measures: [true, false]}}]",
             "evaluate.measures=[True, False]; choose from false, true",
         ),
-        (beside("scripted_folder: ../x"), "scripted_folder=../x; give a folder's name, such as baselines"),
         (
-            beside('scripted_folder: "a\\0b"'),
+            "scripted_folder: ../x\nconfigurations: [{algorithm: ppo}]",
+            "scripted_folder=../x; give a folder's name, such as baselines",
+        ),
+        (
+            'scripted_folder: "a\\0b"\nconfigurations: [{algorithm: ppo}]',
             "scripted_folder=a\\x00b; give a folder's name, such as baselines",
         ),
-        (ppo("folder: '{lr:999999999}', lr: 1"), "it has more than names in braces"),
-        (ppo("folder: '{lr.__class__}', lr: 1"), "names 'lr.__class__', which the configuration does"),
-        (ppo("folder: '{lr!r}', lr: 1"), "it has more than names in braces"),
-        (ppo("folder: '{', lr: 1"), "folder={: cannot be filled in ("),
-        (ppo("folder: /tmp"), "folder=/tmp: leads out of the study's own"),
-        (ppo('folder: "a\\0b"'), "folder=a\\x00b: no folder has such a name"),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr:999999999}', lr: 1}]",
+            "it has more than names in braces",
+        ),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr.__class__}', lr: 1}]",
+            "names 'lr.__class__', which the configuration does",
+        ),
+        ("configurations: [{algorithm: ppo, folder: '{lr!r}', lr: 1}]", "it has more than names in braces"),
+        ("configurations: [{algorithm: ppo, folder: '{', lr: 1}]", "folder={: cannot be filled in ("),
+        ("configurations: [{algorithm: ppo, folder: /tmp}]", "folder=/tmp: leads out of the study's own"),
+        ('configurations: [{algorithm: ppo, folder: "a\\0b"}]', "folder=a\\x00b: no folder has such a name"),
         (f"configurations: [{{algorithm: ppo, folder: {'x' * 256}}}]", "no folder has such a name"),
         (
             f"configurations: [{{algorithm: ppo, folder: '{'{seed}' * 1001}', seed: 1}}]",
@@ -323,24 +369,34 @@ def beside(keys):
             + "}]",
             "configurations stand for more than 10,000 runs; give fewer values",
         ),
-        (ppo("evaluate: {layouts: 3}"), "evaluate.layouts=3; give a name"),
-        (ppo("evaluate: {max_steps: 9999999999}"), "evaluate.max_steps=9999999999; give a number"),
-        (ppo("evaluate: {layouts: density-99999999/test}"), "give at most 20,000,000 obstacles"),
+        ("configurations: [{algorithm: ppo, evaluate: {layouts: 3}}]", "evaluate.layouts=3; give a name"),
         (
-            ppo("keep_at: [0.5], evaluate: {at: [0.5, 0.4]}"),
+            "configurations: [{algorithm: ppo, evaluate: {max_steps: 9999999999}}]",
+            "evaluate.max_steps=9999999999; give a number",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {layouts: density-99999999/test}}]",
+            "give at most 20,000,000 obstacles",
+        ),
+        (
+            "configurations: [{algorithm: ppo, keep_at: [0.5], evaluate: {at: [0.5, 0.4]}}]",
             "evaluate.at=0.4; give some of keep_at=[0.5], or null",
         ),
         (
-            ppo("evaluate: {faults: [none, nois=3]}"),
+            "configurations: [{algorithm: ppo, evaluate: {faults: [none, nois=3]}}]",
             "evaluate.faults=nois=3: there is no key 'nois'; did you mean noise?",
         ),
-        (beside("draw: {draws: 3}"), "draw: nearest=None; give it as uavnav/studies/ambiguities.yaml does"),
         (
-            beside("draw: {draws: 2, nearest: 1, screen: {algorithm: ppo}, choices: {gama: [1]}}"),
+            "draw: {draws: 3}\nconfigurations: [{algorithm: ppo}]",
+            "draw: nearest=None; give it as uavnav/studies/ambiguities.yaml does",
+        ),
+        (
+            "draw: {draws: 2, nearest: 1, screen: {algorithm: ppo}, choices: {gama: [1]}}\n"
+            "configurations: [{algorithm: ppo}]",
             "draw: there is no key 'gama'; did you mean gamma?",
         ),
         (
-            beside("scripted_folder: [random]"),
+            "scripted_folder: [random]\nconfigurations: [{algorithm: ppo}]",
             "scripted_folder=['random']; give a folder's name, such as baselines",
         ),
     ],
@@ -480,7 +536,7 @@ def test_a_configuration_of_which_a_setting_is_wrong_is_refused():
 
 def test_a_finished_run_of_other_settings_does_not_count_as_a_configuration(tmp_path, capsys):
     config = {"hidden": [4], "total_frames": 64, "frames_per_batch": 64, "epochs": 1, "n_envs": 2}
-    train(PPOConfig(**config), out=tmp_path / "out" / "ppo" / "tanh", quiet=True)
+    ppo.train(ppo.PPOConfig(**config), out=tmp_path / "out" / "ppo" / "tanh", quiet=True)
     configuration = {"algorithm": "ppo", "evaluate": False, **config, "hidden": [[4]]}
     name = written(tmp_path, yaml.safe_dump({"configurations": [configuration | {"lr": 0.5}]}))
     words = [name, f"out={tmp_path / 'out'}"]

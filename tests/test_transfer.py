@@ -7,31 +7,33 @@ import pandas as pd
 import pytest
 import torch
 from policies_by_hand import untrained
-from runs_by_hand import write_policies
 
 import uavnav
 from uavnav.__main__ import main
+from uavnav.algorithms import ppo
 from uavnav.evaluation import transfer
 from uavnav.evaluation.across import of_run
-from uavnav.runs import Run
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.table import EMPTY, make_task
 
+SMALL = {"total_frames": 64, "n_envs": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
 RUNS = {
     "paper": {"n_seeds": 2},
     "moving": {"task": "moving", "world": {"speed_max": 3.0}},
-    "dense": {"layouts": "density-12/train", "stack": 2, "n_inputs": 60},
+    "dense": {"layouts": "density-12/train", "stack": 2},
     "far": {"world": {"sensor_radius": 160.0}, "faults": {"noise": 5.0}},
-    "goal": {"task": "goal", "n_inputs": 33},
+    "goal": {"task": "goal"},
 }
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("transfer")
-    usual = {"n_seeds": 1, "layouts": "train"}
-    return {name: Run(write_policies(folder / name, **usual | own)) for name, own in RUNS.items()}
+    return {
+        name: ppo.train(ppo.PPOConfig(**SMALL, **own), folder / name, quiet=True)
+        for name, own in RUNS.items()
+    }
 
 
 @pytest.mark.parametrize(
@@ -79,9 +81,24 @@ def test_in_its_own_world_a_policy_flies_as_an_evaluation_of_its_run(runs, capsy
     for name, layouts in (("dense", "density-12/test"), ("far", "test")):
         run = runs[name]
         own = transfer.visit(of_run(name, run), transfer.place(run, 3, 30)).query("mode == 'greedy'")
-        assert main(f"evaluate {run.path} --layouts {layouts} --episodes 3 --max-steps 30".split()) == 0
-        (path,) = run.path.glob("evaluation-*-3-30.parquet")
-        kept = pd.read_parquet(path).query("mode == 'greedy'")
+        assert (
+            main(
+                [
+                    "evaluate",
+                    str(runs[name].path),
+                    "--layouts",
+                    layouts,
+                    "--episodes",
+                    "3",
+                    "--max-steps",
+                    "30",
+                ]
+            )
+            == 0
+        )
+        kept = pd.read_parquet(next(runs[name].path.glob("evaluation-*-3-30.parquet"))).query(
+            "mode == 'greedy'"
+        )
         assert own["reward"].tolist() == kept["reward"].tolist()
 
 

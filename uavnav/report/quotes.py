@@ -16,7 +16,6 @@ import pandas as pd
 
 from uavnav.report.claims import COLUMNS, EVERY
 from uavnav.report.tables import NOTHING, in_brackets, interval_of, linked
-from uavnav.report.templating import TEMPLATES
 from uavnav.report.verdicts import BESIDE, COUNTS
 
 
@@ -99,7 +98,10 @@ class Quotes:
         return linked(words, name, row, self.root)
 
 
-STUDY = TEMPLATES.get_template("study.md")
+_TEMPLATES = jinja2.Environment(  # its own: the page's loads torch
+    loader=jinja2.PackageLoader("uavnav.report"), undefined=jinja2.StrictUndefined
+)
+STUDY = _TEMPLATES.get_template("study.md")
 
 
 def block(name: str, quotes: Quotes) -> str:

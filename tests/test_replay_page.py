@@ -114,7 +114,7 @@ def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_th
 
 
 def test_a_page_that_loads_itself_again_shows_the_same_step_of_the_same_episode(chrome, compared, tmp_path):
-    script = templating.TEMPLATES.globals["renewing"].replace("AGAIN = 5000", "AGAIN = 300")
+    script = templating.TEMPLATES.globals["renewing"].replace("AGAIN = 5000", "AGAIN = 3000")
     path = tmp_path / "watched.html"
     path.write_text(compared.read_text().replace("</body>", f"<script>{script}</script></body>"))
     forget(chrome)

@@ -129,15 +129,6 @@ def test_a_study_whose_engine_never_tells_an_end_ends_with_the_same_rows(study, 
     assert not parting("progress", alone.progress, there.progress)
 
 
-def test_a_run_names_its_study_from_the_start_and_when_it_goes_on(tmp_path):
-    path = tmp_path / "out" / "ppo" / "tanh"
-    for _ in range(2):
-        carried = Runner(tmp_path / "out", [Configuration(CONFIG, path, study="mine")], NeverBegins())
-        carried._begin(carried.works[0])
-        meta = json.loads((path / "meta.json").read_text())
-        assert (meta["status"], meta["study"]) == ("running", "mine")
-
-
 def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tmp_path):
     train(CONFIG, tmp_path / "out" / "ppo" / "tanh", quiet=True, processes=1)
     failed, _ = study(NeverEnds())

@@ -1,7 +1,6 @@
 """A report on one's own runs: who is in it, how they are ranked, what is typical, and where it goes."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -69,14 +68,6 @@ def test_runs_are_ranked_beside_the_scripted_policy_over_seeds_or_episodes_and_u
     assert "location.reload" not in page
     assert page.count("<figure") == 2
     assert all((runs / "figures" / f"{name}-1.svg").exists() for name in ("ranking", "curves"))
-
-
-def test_runs_of_a_study_are_shown_while_none_has_finished(runs):
-    for name in ("a", "b", "late"):
-        shutil.rmtree(runs / name)
-    (runs / "stopped" / "meta.json").write_text(json.dumps({"status": "interrupted", "study": "mine"}))
-    report()
-    assert "stopped at 400 of 1,000 frames" in (runs / "report.md").read_text()
 
 
 def test_a_watched_page_loads_itself_again(runs):

@@ -68,7 +68,6 @@ def report(
     try:
         found = collect(read)
     except RunError:
-        begun = mine.unfinished(read, of_studies=True)  # nothing has finished: what trains is all there is
         if not begun:
             raise
         found = [], []

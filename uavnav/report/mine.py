@@ -119,8 +119,8 @@ def gather(
     )
 
 
-def unfinished(folders: Sequence[Path], of_studies: bool = False) -> dict[Path, Begun]:
-    """The runs that are training or were stopped, by their folders; of_studies: also those of a study."""
+def unfinished(folders: Sequence[Path]) -> dict[Path, Begun]:
+    """The runs that are training or were stopped and name no study, by their folders."""
     found = {}
     for path in dict.fromkeys(path for folder in folders for path in run_folders(folder)[0]):
         try:
@@ -130,7 +130,7 @@ def unfinished(folders: Sequence[Path], of_studies: bool = False) -> dict[Path, 
             continue
         if not {"algorithm", "activation", "total_frames"} <= config.keys():
             continue  # no run's, as `collect` says
-        if meta.get("status") != FINISHED and (of_studies or not meta.get("study")):
+        if meta.get("status") != FINISHED and not meta.get("study"):
             found[path] = _begun(path, config, meta)
     return found
 

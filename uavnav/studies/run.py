@@ -334,7 +334,6 @@ class Runner:
             -(-config.n_seeds // self.per_worker) if self.per_worker else machine.processes(config)
         )
         with machine.use_threads(machine.threads(config, n)), own:
-            own.meta |= {"study": configuration.study}
             own.note(processes=n)
         work.workers = workers.split(config, configuration.out, n)
         for worker in work.workers:
@@ -488,6 +487,7 @@ class Runner:
                 Recorder(configuration.out, configuration.config) as own,
             ):
                 compiled = all(Run(worker.folder).meta["compiled"] for worker in work.workers)
+                own.meta |= {"study": configuration.study}
                 own.note(compiled=compiled, processes=n)
                 _join_episodes(configuration, [worker.folder for worker in work.workers])
                 workers.join(own, work.workers)

@@ -133,14 +133,16 @@ def _always(network, agent, action):
     """Make one agent prefer an action by far, and whatever it sees."""
     with torch.no_grad():
         network[-1].weight[agent] = 0.0
-        network[-1].bias[agent] = torch.arange(100.0) / 100
+        network[-1].bias[agent] = torch.linspace(0, 0.99, network[-1].bias.shape[-1])
         network[-1].bias[agent, 0, action] = 50.0
 
 
-def write_policies(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs=30, **changes):
+def write_policies(
+    path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs=30, n_actions=100, **changes
+):
     """A finished run of `n_seeds` random networks; `prefer` names the action of those that know but one."""
     generators = [torch.Generator().manual_seed(one) for one in range(seed, seed + n_seeds)]
-    network = mlp([n_inputs, 8, 100], "tanh", generators, "default")
+    network = mlp([n_inputs, 8, n_actions], "tanh", generators, "default")
     with torch.no_grad():
         network[-1].weight.mul_(8.0)  # so that values differ, from action to action and from step to step
     for agent, action in prefer:

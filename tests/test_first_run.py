@@ -53,6 +53,17 @@ def test_where_no_terminal_shows_a_run_it_says_after_five_seconds_of_learning_ho
     assert lines == ([] if quiet else ["about 74 s more at this rate"])
 
 
+def test_the_pace_of_resumed_workers_counts_from_their_first_word(monkeypatch, capsys):
+    clock = [0.0]
+    monkeypatch.setattr(display.time, "monotonic", lambda: clock[0])
+    with display.Display(PPOConfig(n_seeds=2, total_frames=1_000_000), False) as shown:
+        meta = {"compiled": False, "threads": 1}
+        shown.begin(SimpleNamespace(path=Path("run"), meta=meta, until=None), 500_000)
+        for clock[0], frames in [(0.0, 0), (1.0, 500_000), (7.0, 560_000)]:
+            shown.update(frames, NOTHING)
+    assert "about 44 s more at this rate" in capsys.readouterr().out  # 10,000 frames/s
+
+
 def test_a_run_says_what_it_does_how_and_from_where_it_goes_on():
     facts = {"compiled": True, "processes": 2, "threads": 1}
     config = PPOConfig(n_seeds=10, seed=5)

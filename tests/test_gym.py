@@ -388,6 +388,24 @@ def test_where_an_episode_ends_sb3_is_told_of_that_one_and_of_the_next_in_its_re
     assert [info["y"] for info in env.reset_infos] == [300.0, 300.0]
 
 
+def test_layouts_are_chosen_by_sb3s_options_and_methods_are_of_all_rows():
+    pytest.importorskip("stable_baselines3")
+    from uavnav.envs.sb3 import DroneVecEnv
+
+    env = DroneVecEnv(2, seed=0, layouts="test")
+    env.set_options([{"layout": 3}, {"layout": 7}])
+    env.reset()
+    assert [info["layout"] for info in env.reset_infos] == [3, 7]
+    env.reset()  # options are of one reset
+    assert [info["layout"] for info in env.reset_infos] != [3, 7]
+    env.set_options([{"layout": 3}, {}])
+    with pytest.raises(ValueError, match=r"options layout=\[3, None\]; give one for each environment"):
+        env.reset()
+    assert env.env_method("render") == [None, None]
+    with pytest.raises(ValueError, match="indices=0; give none: the 2 environments step together"):
+        env.env_method("render", indices=0)
+
+
 @pytest.mark.parametrize("settings", [{"stack": 2}, {"faults": {"late": 1}}])
 def test_whoever_changes_an_observation_in_place_does_not_change_what_the_drone_remembers(settings):
     env, again = (DroneGymEnv("test", **settings) for _ in range(2))

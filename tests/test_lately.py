@@ -9,6 +9,7 @@ import torch
 from rich.console import Console
 
 import uavnav
+from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.runs import lately, progress
 from uavnav.runs.lately import Lately
@@ -79,6 +80,18 @@ def test_a_run_that_was_resumed_ends_with_the_curve_of_one_that_was_not(processe
         assert run.meta["lately"][name] == pytest.approx(values, abs=1e-3)
 
 
+def test_a_run_that_is_stopped_twice_between_two_rows_of_progress_keeps_its_curve(tmp_path):
+    config = DQNConfig(n_envs=8, total_frames=12_000, learning_starts=12_000, hidden=(8,), compile="off")
+    whole = uavnav.dqn.train(config, tmp_path / "whole", quiet=True)
+    for until in (6_000, 6_400):  # there is a row every 5,000 frames
+        with pytest.raises(Interrupted):
+            uavnav.dqn.train(config, tmp_path / "run", until=until, quiet=True)
+    run = uavnav.dqn.train(config, tmp_path / "run", quiet=True)
+    curve, expected = run.meta["lately"]["curve"], whole.meta["lately"]["curve"]
+    assert curve[:5] == pytest.approx(expected[:5], abs=1e-3)  # parts of 1,000 frames
+    assert len({*curve}) > 2
+
+
 def test_workers_curves_count_by_their_seeds_as_far_as_all_have_come():
     two = Lately(rewards=[1.0, 2.0], flying=[0.0, 1.0], lengths=[5.0, 6.0], curve=[1.0, 2.0, 3.0])
     one = Lately(rewards=[4.0], flying=[0.5], lengths=[7.0], curve=[4.0, 5.0])
@@ -86,6 +99,8 @@ def test_workers_curves_count_by_their_seeds_as_far_as_all_have_come():
     assert (both.rewards, both.flying, both.lengths) == ([1.0, 2.0, 4.0], [0.0, 1.0, 0.5], [5.0, 6.0, 7.0])
     assert both.curve == [2.0, 3.0]
     assert lately.all_seeds([two, lately.NOTHING]).curve == []
+    resumed = Lately(curve=[2.0, 4.0])
+    assert lately.all_seeds([resumed, resumed]).curve == [2.0, 4.0]
 
 
 def test_the_line_fits_80_columns_and_a_reward_that_is_no_number_stops_no_heart_beat(tmp_path):

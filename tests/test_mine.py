@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from bad_input import put
 from runs_by_hand import rows, two, write_policies, write_run
 
 from uavnav.colours import OTHERS, PILOTS
@@ -93,6 +94,28 @@ def test_the_typical_episode_is_recorded_in_the_colour_of_its_run(tmp_path):
     shown = {one["label"]: one["accent"] for one in found.recorded["configurations"]}
     assert shown == {"(one)": PILOTS["ppo"], "(other)": OTHERS[0], "(third)": PILOTS["dqn"]}
     assert all(len(one["episodes"]) == 1 for one in found.recorded["configurations"])
+
+
+def test_of_an_unfinished_run_a_worker_that_has_finished_counts_too(tmp_path):
+    folder = write_run(tmp_path / "run", two(0, 5.0), meta=OWN | {"status": "interrupted"})
+    for name in ("episodes.parquet", "progress.parquet"):
+        (folder / name).unlink(missing_ok=True)
+    write_run(folder / "workers" / "0", two(0, 5.0), meta=OWN)
+    going = folder / "workers" / "1"
+    put(going / "meta.json", json.dumps({"status": "interrupted"}))
+    snapshot = {name: torch.from_numpy(column.to_numpy()) for name, column in two(1, 7.0).items()}
+    Checkpoints(going / "checkpoint", {}).save(400, {"episodes": snapshot}, {"frames": 400})
+    ((begun, _),) = mine.unfinished([tmp_path]).values()
+    assert begun.episodes.groupby("seed").size().to_dict() == {0: 2, 1: 2}
+
+
+def test_damaged_episodes_of_scripts_and_people_are_named_and_stop_nothing(runs, tmp_path):
+    for name in ("reactive.parquet", "human.parquet"):
+        (runs / "baselines" / name).write_bytes(b"no table")
+    found = mine.gather(collect([runs])[0], mine.unfinished([runs]), [runs], tmp_path, lambda _: None)
+    lines = [line for line in found.left_out if "baselines" in line]
+    assert len(lines) == 2
+    assert all("delete it" in line for line in lines)
 
 
 def test_an_interval_is_over_seeds_where_there_are_several_and_else_over_episodes():

@@ -168,7 +168,7 @@ def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_vel
     for configuration in data["configurations"]:
         place = configuration["place"]
         task = make_task("test", place["world"], task=place["task"])
-        assert place["title"] == "moving obstacles"
+        assert place["title"].startswith("moving obstacles, speed_max=4.0")
         assert torch.equal(torch.tensor([one["circles"] for one in place["layouts"]]), task.layouts[:2])
         for episode in configuration["episodes"]:
             found = {name: torch.tensor(part) for name, part in unpack(episode, data["fields"]).items()}
@@ -265,6 +265,24 @@ def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_p
     assert data["left_out"] == [
         f"{path}: a page has no replays of task=moving; uavnav render makes a film of it"
     ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "action"),
+    [({"n_slots": 5}, 9), ({"sensor_arc": 90.0}, 9), ({"n_turns": 61, "n_distances": 5}, 304)],
+)
+def test_a_world_with_other_constants_is_drawn_and_packed_as_it_is(tmp_path, changes, action):
+    world = World(**changes)
+    sizes = {"n_inputs": 3 * world.n_slots, "n_actions": world.n_actions, "prefer": [(0, action)]}
+    write_policies(tmp_path / "run", n_seeds=1, world=changes, **sizes)
+    (configuration,) = recorded(tmp_path, n_layouts=1)["configurations"]
+    place = configuration["place"]
+    assert place["title"] == ", ".join(f"{name}={value}" for name, value in changes.items())
+    assert place["world"] == world.model_dump()
+    found = unpack(configuration["episodes"][0], place["fields"])  # and no byte is left
+    assert found["value"].shape[1] == len(place["actions"]) == world.n_actions
+    assert found["right"].shape[1] == world.n_slots
+    assert {*found["action"][:, 0]} >= {action}
 
 
 def test_a_report_records_configurations_of_other_worlds_beside_the_papers(tmp_path):

@@ -6,6 +6,7 @@ import re
 import runpy
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -14,6 +15,7 @@ from bad_input import a_folder, a_pipe, endless, itself, large, put
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
+from uavnav.cli import study as cli_study
 from uavnav.cli.study import parse, scripted_evaluations, status
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
@@ -130,6 +132,19 @@ def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scrip
         *evaluations,
         [*moving, "--shield", *out],
     ]
+
+
+def test_a_study_whose_scripted_policies_could_not_be_evaluated_says_so_and_ends_with_1(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(cli_study, "Runner", lambda *_, **__: SimpleNamespace(works=[], run=list))
+    text = "{scripted_folder: home, configurations: [{algorithm: ppo, folder: drone}]}"
+    path = written(tmp_path, text)
+    put(tmp_path / "out" / "home", "")  # a file, in which there is no room
+    words = [str(path), f"out={tmp_path / 'out'}", "report=false"]
+    assert main([*words, "--quiet"]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert re.fullmatch(r"uavnav study: \d evaluations of scripted policies failed; .* repeats them", last)
 
 
 def test_scripted_policies_that_cannot_fly_a_task_are_skipped_in_a_study(tmp_path):

@@ -173,11 +173,14 @@ def main(arguments: Namespace) -> int:
             failed = train(found)
         flying = bool(study.scripted_folder) and not (untold or failed)
         home = out / str(study.scripted_folder)
+        unflown = 0
         for words in scripted_evaluations(found, home, study.scripted) if flying else ():
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
-            commands.run("evaluate", [*words, "--quiet"])
-    if untold or failed:
-        what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} configurations"
+            unflown += commands.run("evaluate", [*words, "--quiet"]) != 0
+    if untold or failed or unflown:
+        what = f"{unflown} evaluations of scripted policies"
+        if untold or failed:
+            what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} configurations"
         print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
         return 1
     if own.report:

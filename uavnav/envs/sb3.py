@@ -37,8 +37,13 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
         return [seed] * self.num_envs
 
     def reset(self) -> np.ndarray[Any, Any]:
-        observation, info = self._env.reset(seed=self._seed)
+        chosen = [options.get("layout") for options in self._options]
+        if None in chosen and set(chosen) != {None}:
+            raise ValueError(f"options layout={chosen}; give one for each environment, or none")
+        options = None if None in chosen else {"layout": chosen}
+        observation, info = self._env.reset(seed=self._seed, options=options)
         self._seed = None
+        self._reset_options()
         self.reset_infos = self._rows(info)
         return observation
 
@@ -78,7 +83,14 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
         setattr(self._env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        return [getattr(self._env, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
+        """Call a method once, for all rows, which step together; indices: of all of them, or none.
+
+        Raises:
+            ValueError: the indices are of some rows only.
+        """
+        if len([*self._get_indices(indices)]) < self.num_envs:
+            raise ValueError(f"indices={indices}; give none: the {self.num_envs} environments step together")
+        return [getattr(self._env, method_name)(*args, **kwargs)] * self.num_envs
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None

@@ -25,7 +25,7 @@ from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks import layouts as splits
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.protocol import ACROSS_STEPS
-from uavnav.tasks.table import EMPTY, make_task, name_of
+from uavnav.tasks.table import EMPTY, make_task, name_of, unusual
 from uavnav.tasks.wrapper import WrappedTask
 
 EVALUATED_IN = "evaluated_in"  # the column that names the task of an episode
@@ -70,12 +70,10 @@ def named(task: WrappedTask, layouts: str) -> str:
     """A task in words: its name or the rung of its split, and what else is not as usual."""
     name = name_of(task)
     all_layouts = splits.name_of(layouts).removesuffix("-test")
-    usual = task.WORLD().model_dump()
-    own = [f"{key}={value}" for key, value in task.world.model_dump().items() if value != usual[key]]
     faults = [str(task.faults)] * (str(task.faults) != "none")
     reward = [f"reward={task.reward}"] * (task.reward != task.REWARD)
     first = name if all_layouts in splits.SPLITS else f"{name} {all_layouts}".removeprefix("drone ")
-    return ", ".join([first, *own, *reward, *faults])
+    return ", ".join([first, *unusual(task), *reward, *faults])
 
 
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:

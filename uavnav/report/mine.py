@@ -14,11 +14,11 @@ from uavnav import style
 from uavnav.errors import OneLineError
 from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead
-from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
+from uavnav.report.configurations import EMPTY, Configuration, one_line, settings_of, show
 from uavnav.report.frames import REACTIVE, least_to_most
 from uavnav.report.templating import Figure, sized
 from uavnav.report.verdicts import SEEDS
-from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
+from uavnav.runs import FINISHED, WORKERS, Run, heard, paper, progress, read_settings, run_folders
 from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
@@ -102,10 +102,11 @@ def gather(
         contenders.append(compare.trained(name, one, rows))
     tell("ranking runs against the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
-    groups = []
+    groups: list[Group] = []
+    damaged: list[str] = []
     for place, members in enumerate(_alike(contenders)):
-        scripted = _scripted(members[0], paths[members[0].name], [*folders, out])
-        people = _by_hand(members[0], [*folders, out])
+        scripted = _scripted(members[0], paths[members[0].name], [*folders, out], damaged)
+        people = _by_hand(members[0], [*folders, out], damaged)
         groups.append(_group([*members, *people], scripted, status, looks, place))
     tell("flying a typical episode of each run")
     recorded, left_out = _typical(contenders, looks)
@@ -115,7 +116,7 @@ def gather(
         differences(contenders),
         _missing(found, folders[0]),
         recorded,
-        left_out,
+        [*left_out, *dict.fromkeys(damaged)],
     )
 
 
@@ -148,16 +149,22 @@ def _begun(path: Path, config: Mapping[str, Any], meta: Mapping[str, Any]) -> Be
 
 
 def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
-    """The frames and the episodes of a run's newest snapshots, of all its workers."""
+    """The frames and the episodes of a run so far: of its newest snapshots, and of workers that have
+    finished.
+    """
     parts, frames = [], []
     for folder in [path, *sorted((path / WORKERS).glob("*"))]:
         try:
-            newest = Checkpoints(folder / "checkpoint", {}).newest()
-            rows = {name: newest.state["episodes"][name].numpy() for name in EPISODE_COLUMNS}
+            if read_settings(folder / "meta.json").get("status") == FINISHED:
+                rows, reached = Run(folder).episodes, Run(folder).frames
+            else:
+                newest = Checkpoints(folder / "checkpoint", {}).newest()
+                columns = {name: newest.state["episodes"][name].numpy() for name in EPISODE_COLUMNS}
+                rows, reached = pd.DataFrame(columns).astype(EPISODE_COLUMNS), newest.frames
         except (RunError, KeyError):
             continue
-        parts.append(pd.DataFrame(rows).astype(EPISODE_COLUMNS))
-        frames.append(newest.frames)
+        parts.append(rows)
+        frames.append(reached)
     return min(frames, default=0), pd.concat(parts, ignore_index=True) if parts else EMPTY
 
 
@@ -227,18 +234,28 @@ def _group(
     )
 
 
-def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:
+def _kept(path: Path, damaged: list[str]) -> pd.DataFrame | None:
+    """The rows of a file, if there is one that can be read; what is wrong with it is added to `damaged`."""
+    if not path.exists():
+        return None
+    try:
+        return read_table(path, EVALUATED, "delete it")
+    except RunError as error:
+        damaged.append(one_line(error))
+        return None
+
+
+def _scripted(first: Contender, run: Path, folders: Sequence[Path], damaged: list[str]) -> Contender | None:
     """The scripted policy's episodes on a run's layouts, kept or new; None where it cannot."""
     protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
     layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
     name = Protocol(layouts, episodes, limit, None, task).file(REACTIVE)
     beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
     plain = not {"world", "reward", "faults"} & beyond
-    there = [path for folder in folders if plain and (path := folder / "baselines" / name).exists()]
-    try:
-        if there:
-            rows = read_table(there[0], EVALUATED, "delete it")
+    for folder in folders if plain else ():
+        if (rows := _kept(folder / "baselines" / name, damaged)) is not None:
             return Contender(REACTIVE, rows, protocol, first.place, None, REACTIVE)
+    try:
         flown = compare.fly(REACTIVE, protocol, None, str(run))
         if plain:
             rows = flown.episodes.copy()
@@ -250,15 +267,15 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender
         return None
 
 
-def _by_hand(first: Contender, folders: Sequence[Path]) -> list[Contender]:
+def _by_hand(first: Contender, folders: Sequence[Path], damaged: list[str]) -> list[Contender]:
     """What people flew in the paper's task, if the first of the runs flew there; none elsewhere."""
-    there = [path for folder in folders if (path := folder / "baselines" / "human.parquet").exists()]
     as_kept = {"layouts": "test", "max_steps": MAX_STEPS}
-    if not there or first.place["task"] != "drone" or not as_kept.items() <= first.protocol.items():
+    if first.place["task"] != "drone" or not as_kept.items() <= first.protocol.items():
         return []
-    return [
-        Contender(YOU, read_table(there[0], EVALUATED, "delete it"), first.protocol, first.place, None, YOU)
-    ]
+    for folder in folders:
+        if (rows := _kept(folder / "baselines" / "human.parquet", damaged)) is not None:
+            return [Contender(YOU, rows, first.protocol, first.place, None, YOU)]
+    return []
 
 
 def _ranking(

@@ -3,7 +3,7 @@
     config.yaml         every setting needed to repeat the run
     meta.json           versions, git commit, machine, threads, wall time, status, frames per seed
     episodes.parquet    one row per training episode, the columns of `metrics.EPISODE_COLUMNS`
-    progress.parquet    one row per iteration and seed: losses and diagnostics
+    progress.parquet    losses and diagnostics: a row per seed and iteration, or every few thousand frames
     policy.safetensors  the networks of all seeds; where it was left out, the run's command trains it again
     policy-at-0.1.safetensors  the policies after a tenth of training, where `keep_at` asks for them
     evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see

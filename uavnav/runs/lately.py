@@ -51,7 +51,7 @@ def all_seeds(parts: Sequence[Lately]) -> Lately:
         name: [value for part in parts for value in getattr(part, name)][:MOST_TOLD]
         for name in ("rewards", "flying", "lengths")
     }
-    weights = [len(part.rewards) for part in parts]
+    weights = [len(part.rewards) or 1 for part in parts]  # a resumed part has a curve before rewards
     points = zip(*(part.curve for part in parts), strict=False)
     return Lately(**told, curve=[float(np.average(point, weights=weights)) for point in points])
 

@@ -52,6 +52,12 @@ def name_of(task: Task | WrappedTask) -> str:
     raise ValueError(f"{own.__name__}: has no name; give it one in TASKS, as TASKS['mine'] = Mine")
 
 
+def unusual(task: WrappedTask) -> list[str]:
+    """The constants of a task's world that are not its usual ones, each as `sensor_arc=90.0`."""
+    usual = task.WORLD().model_dump()
+    return [f"{name}={value}" for name, value in task.world.model_dump().items() if value != usual[name]]
+
+
 def header(task: WrappedTask) -> dict[str, Any]:
     """All of a task, as the header of a policy's file has it; of the split its SHA-256.
 

@@ -63,8 +63,9 @@ class Display:
     def update(self, frames: int, lately: Lately) -> None:
         """frames: per seed so far; lately: what the seeds do."""
         now, total = time.monotonic(), self._config.frames
-        if self._since is None or frames <= self._config.frames_before_learning:
-            self._since = now, frames  # the first row leaves out what was compiled before
+        # the first row leaves out what was compiled before; a worker's frames come with its first word
+        if self._since is None or not self._since[1] or frames <= self._config.frames_before_learning:
+            self._since = now, frames
         seconds, done = now - self._since[0], frames - self._since[1]
         rate = done / seconds if seconds and done > 0 else None
         self._progress.update(self._task, completed=frames, line=line(frames, total, rate, lately))

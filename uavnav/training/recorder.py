@@ -315,7 +315,9 @@ class Recorder:
                     self._recent[seed - self.config.seed].append(reward)
                 self._watch.add(rows)
             open_now = snapshot.state["parts"]["env"]["state"]["reward"]
-            self._watch.resume(open_now, frames, snapshot.facts.get("curve", []))
+            curve = snapshot.facts.get("curve", [])
+            self._watch.resume(open_now, frames, curve)
+            self.heartbeat.lately = Lately(curve=curve)  # which the next snapshot keeps
             self._began -= snapshot.facts["wall_seconds"]
         if self.log is not None:
             tables = {
@@ -422,7 +424,7 @@ class Recorder:
         number = self.stop or signal.SIGTERM
         return Interrupted(
             f"{self.path}: stopped by {signal.Signals(number).name} and saved at {frames:,} of"
-            f" {self.config.total_frames:,} frames; the same command goes on from there",
+            f" {self.config.frames:,} frames; the same command goes on from there",
             number,
             frames,
             wanted,

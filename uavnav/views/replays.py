@@ -39,7 +39,7 @@ from uavnav.tasks.goal import Goal
 from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.space import decode as decode_in_3d
 from uavnav.tasks.state import State
-from uavnav.tasks.table import name_of
+from uavnav.tasks.table import name_of, unusual
 from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
@@ -78,7 +78,7 @@ FIELDS = {
     "right": Field("int8", 1 / 127),  # the ten slots of eq. (13), each in three fields
     "forward": Field("uint8", 1 / 255),
     "proximity": Field("uint8", 1 / 255),
-    "action": Field("uint8", 1, chosen=True),
+    "action": Field("uint16", 1, chosen=True),
     "low": Field("float32", 1, chosen=True),  # the least value of all actions
     "high": Field("float32", 1, chosen=True),  # and the greatest
     "value": Field("uint8", 1 / (LEVELS - 1), chosen=True),  # 0 is the least, 1 the greatest
@@ -89,10 +89,6 @@ IN_3D = FIELDS | {
     "up": Field("int8", 1 / 127),  # of the ten slots
 }
 """Of an episode in 3D."""
-COLUMNS = {"value": World().n_actions} | dict.fromkeys(
-    ("right", "up", "forward", "proximity"), World().n_slots
-)
-"""Of the fields that have more than one."""
 Columns = dict[str, Tensor]
 
 
@@ -144,7 +140,7 @@ def record(
         "world": world.model_dump(),
         "layouts": _sparse(all_layouts.double().numpy().round(2).tolist(), places),
         "actions": torch.stack([angle, distance], -1).tolist(),
-        "fields": _told(FIELDS),
+        "fields": _told(FIELDS, world),
         "configurations": shown,
         "scripted": scripted,
         "left_out": list(dict.fromkeys(left_out)),
@@ -177,8 +173,15 @@ def main() -> None:
     json.dump(record(configurations), sys.stdout)
 
 
-def _told(fields: Mapping[str, Field]) -> list[dict[str, Any]]:
-    return [{"name": name, "columns": COLUMNS.get(name, 1), **one._asdict()} for name, one in fields.items()]
+def _told(fields: Mapping[str, Field], world: World) -> list[dict[str, Any]]:
+    columns = _columns(world)
+    return [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in fields.items()]
+
+
+def _columns(world: World) -> dict[str, int]:
+    """Of the fields that have more than one: how many."""
+    slots = dict.fromkeys(("right", "up", "forward", "proximity"), world.n_slots)
+    return {"value": world.n_actions} | slots
 
 
 def together(recorded: dict[str, Any], configurations: Mapping[str, str], scripted: str) -> dict[str, Any]:
@@ -224,7 +227,8 @@ def paths(together: dict[str, Any], steps: int) -> dict[str, Array]:
 def _poses(episode: dict[str, Any]) -> dict[str, Any]:
     """A packed episode without its choices, whose bytes are the last."""
     kept = {name: np.dtype(one.type).itemsize for name, one in FIELDS.items() if not one.chosen}
-    size = sum(each * COLUMNS.get(name, 1) for name, each in kept.items())
+    columns = _columns(World())
+    size = sum(each * columns.get(name, 1) for name, each in kept.items())
     content = zlib.decompress(base64.b64decode(episode["bytes"]))[: size * (episode["steps"] + 1)]
     return episode | {"bytes": base64.b64encode(zlib.compress(content, 9)).decode()}
 
@@ -263,9 +267,9 @@ def _place(task: WrappedTask, split: str, chosen: Sequence[int]) -> dict[str, An
     split: the split, which may be a rung's such as `slalom-80/test`.
     """
     name = name_of(task)
-    faults, stack = task.faults != NO_FAULTS, task.stack > 1
     found = {TITLES[name]: name != "drone", split.removesuffix("/test"): split != "test"}
-    found |= {str(task.faults): faults, f"stack={task.stack}": stack}
+    found |= dict.fromkeys(unusual(task), True)
+    found |= {str(task.faults): task.faults != NO_FAULTS, f"stack={task.stack}": task.stack > 1}
     words = [word for word, is_so in found.items() if is_so]
     if not words:
         return {}
@@ -274,11 +278,17 @@ def _place(task: WrappedTask, split: str, chosen: Sequence[int]) -> dict[str, An
         shown = [one and {"circles": one[:-1], "goal": one[-1][:2]} for one in circles]
     else:
         shown = [one and {"circles": one} for one in circles]
-    constants: dict[str, Any] = {"world": task.world.model_dump(), "max_steps": task.max_steps}
-    if isinstance(task.world, SpaceWorld):
-        parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
-        # each action: yaw, pitch [degrees], distance [px]
-        constants |= {"fields": _told(IN_3D), "actions": torch.stack(parts, -1).tolist()}
+    world, every = task.world, torch.arange(task.world.n_actions)
+    parts: tuple[Tensor, ...] = (
+        decode_in_3d(every, world) if isinstance(world, SpaceWorld) else decode(every, world)
+    )
+    constants = {
+        "world": world.model_dump(),
+        "max_steps": task.max_steps,
+        "fields": _told(IN_3D if isinstance(world, SpaceWorld) else FIELDS, world),
+        # each action: turn, in 3D yaw and pitch [degrees], distance [px]
+        "actions": torch.stack(parts, -1).tolist(),
+    }
     return {"place": {"task": name, "title": ", ".join(words), "layouts": shown, **constants}}
 
 

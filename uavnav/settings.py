@@ -163,7 +163,8 @@ def _refused(kind: type[Settings], error: ValidationError) -> ConfigError:
     name = str(first["loc"][0])
     if first["type"] == "extra_forbidden":
         return unknown_key(name, kind.names())
-    return _wrong(name, first, kind.model_fields[name])
+    place = [str(part) for part in first["loc"][1:] if isinstance(part, int)]  # in a list
+    return _wrong(".".join([name, *place]), first, kind.model_fields[name])
 
 
 def _wrong(name: str, error: ErrorDetails, field: FieldInfo) -> ConfigError:

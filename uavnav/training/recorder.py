@@ -424,7 +424,7 @@ class Recorder:
         number = self.stop or signal.SIGTERM
         return Interrupted(
             f"{self.path}: stopped by {signal.Signals(number).name} and saved at {frames:,} of"
-            f" {self.config.frames:,} frames; the same command goes on from there",
+            f" {self.config.total_frames:,} frames; the same command goes on from there",
             number,
             frames,
             wanted,

@@ -179,7 +179,8 @@ def test_columns_are_named_without_the_folders_that_runs_share():
         "dqn/tanh",
         "reactive",
     ]
-    assert compare._short(["runs/ppo/tanh", "reactive"]) == ["runs/ppo/tanh", "reactive"]
+    for alone in (["runs/ppo/tanh", "reactive"], ["/data/ppo", "reactive"], ["/data/ppo", "runs/ppo"]):
+        assert compare._short(alone) == alone
 
 
 def test_a_committed_run_is_read_and_not_flown():

@@ -271,10 +271,11 @@ def flown(contenders: Sequence[Contender]) -> str:
 
 
 def _short(names: Sequence[str]) -> list[str]:
-    """Names without the folders that all paths among them share."""
-    paths = [name for name in names if "/" in name]
-    shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
-    return [name.removeprefix(f"{shared}/") for name in names]
+    """Names without the folders that all paths among them share; absolute and relative ones share none."""
+    folders = [os.path.dirname(name) for name in names if "/" in name]
+    alike = len(folders) > 1 and len({os.path.isabs(folder) for folder in folders}) == 1
+    shared = f"{os.path.commonpath(folders)}/" if alike else ""
+    return [name.removeprefix(shared) for name in names]
 
 
 def text(contenders: Sequence[Contender], console: Console) -> None:

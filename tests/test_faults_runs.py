@@ -210,7 +210,7 @@ def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
     own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
     ((episode,),) = replays.fly([replays.Flyer(0, untrained(own), [0])], "test", 12)
-    shown = unpack(episode, replays._told(replays.FIELDS, own.world))
+    shown = unpack(episode, replays._constants(own.world)["fields"])
     assert all(shown[name].shape == (episode["steps"] + 1, 10) for name in ("right", "forward", "proximity"))
 
 

@@ -168,7 +168,8 @@ def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_vel
     for configuration in data["configurations"]:
         place = configuration["place"]
         task = make_task("test", place["world"], task=place["task"])
-        assert place["title"].startswith("moving obstacles, speed_max=4.0")
+        sensed = ", sense_velocity=True" * place["world"]["sense_velocity"]
+        assert place["title"] == f"moving obstacles, speed_max=4.0{sensed}"
         assert torch.equal(torch.tensor([one["circles"] for one in place["layouts"]]), task.layouts[:2])
         for episode in configuration["episodes"]:
             found = {name: torch.tensor(part) for name, part in unpack(episode, data["fields"]).items()}

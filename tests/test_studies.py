@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from made_up import episodes, in_study, run
 
 from uavnav.report.claims import PRIMARY
+from uavnav.report.configurations import windowed
 from uavnav.report.studies import (
     Rows,
     Studies,
@@ -259,6 +260,13 @@ def test_an_episode_counts_in_the_frames_that_it_lasted_and_its_collision_at_its
     assert evidence(*KEY, "reward_before").tolist() == pytest.approx([1 - 10 / 300_000])
     assert evidence(*KEY, "reward_surge").tolist() == pytest.approx([2])
     assert evidence(*KEY, "reward_after").tolist() == pytest.approx([2])
+
+
+@pytest.mark.parametrize(("task", "expected"), [("drone", [0.21, 0.01]), ("goal", [0.11, 0.11])])
+def test_a_collision_is_booked_in_its_last_frame_and_with_goals_all_reward_is_spread(task, expected):
+    """100 frames bring 11; of the drone's, 21 came on the way and -10 in the last."""
+    one = configuration(rows=[(0, 100, 100, 0, 0, 9, 11.0)], n_envs=1, task=task)
+    assert windowed(one, [(0, 50), (50, 100)]).loc[0].tolist() == pytest.approx(expected)
 
 
 def test_frame_300000_is_before_the_surge_and_300001_in_it():

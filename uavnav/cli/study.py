@@ -173,20 +173,23 @@ def main(arguments: Namespace) -> int:
             failed = train(found)
         flying = bool(study.scripted_folder) and not (untold or failed)
         home = out / str(study.scripted_folder)
+        evaluations = scripted_evaluations(found, home, study.scripted) if flying else []
+        compared = out / "baselines" / "reactive.parquet"  # what a winner of tuning is compared with
+        if plan is not None and own.report and not (untold or failed or compared.exists()):
+            evaluations.append(["reactive", "--out", str(compared.parent)])
         unflown = 0
-        for words in scripted_evaluations(found, home, study.scripted) if flying else ():
+        for words in evaluations:
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
             unflown += commands.run("evaluate", [*words, "--quiet"]) != 0
-    if untold or failed or unflown:
-        what = f"{unflown} evaluations of scripted policies"
-        if untold or failed:
-            what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} configurations"
+    failures = {
+        f"{len(untold)} trials": untold,
+        f"{len(failed)} of {len(found)} configurations": failed,
+        f"{unflown} evaluations of scripted policies": unflown,
+    }
+    if what := next((words for words, some in failures.items() if some), ""):
         print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
         return 1
     if own.report:
-        if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
-            # what a winner is compared with
-            commands.run("evaluate", ["reactive", "--out", str(out / "baselines"), "--quiet"])
         print(f"the report is in {report([out]).path}")
     return 0
 

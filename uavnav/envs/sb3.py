@@ -38,9 +38,10 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
 
     def reset(self) -> np.ndarray[Any, Any]:
         chosen = [options.get("layout") for options in self._options]
-        if None in chosen and set(chosen) != {None}:
+        missing = sum(one is None for one in chosen)
+        if 0 < missing < self.num_envs:
             raise ValueError(f"options layout={chosen}; give one for each environment, or none")
-        options = None if None in chosen else {"layout": chosen}
+        options = None if missing else {"layout": chosen}
         observation, info = self._env.reset(seed=self._seed, options=options)
         self._seed = None
         self._reset_options()

@@ -156,7 +156,8 @@ def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
     for folder in [path, *sorted((path / WORKERS).glob("*"))]:
         try:
             if read_settings(folder / "meta.json").get("status") == FINISHED:
-                rows, reached = Run(folder).episodes, Run(folder).frames
+                run = Run(folder)
+                rows, reached = run.episodes, run.frames
             else:
                 newest = Checkpoints(folder / "checkpoint", {}).newest()
                 columns = {name: newest.state["episodes"][name].numpy() for name in EPISODE_COLUMNS}

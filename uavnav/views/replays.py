@@ -134,13 +134,10 @@ def record(
         name |= _place(next(iter(population.values())).task, split, configuration.layouts or usual)
         values = ALGORITHMS[configuration.algorithm].shown
         shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
-    angle, distance = decode(torch.arange(world.n_actions), world)
     places = [*usual, *(place for one in configurations for place in one.layouts)]
     return {
-        "world": world.model_dump(),
+        **_constants(world),
         "layouts": _sparse(all_layouts.double().numpy().round(2).tolist(), places),
-        "actions": torch.stack([angle, distance], -1).tolist(),
-        "fields": _told(FIELDS, world),
         "configurations": shown,
         "scripted": scripted,
         "left_out": list(dict.fromkeys(left_out)),
@@ -173,9 +170,17 @@ def main() -> None:
     json.dump(record(configurations), sys.stdout)
 
 
-def _told(fields: Mapping[str, Field], world: World) -> list[dict[str, Any]]:
+def _constants(world: World | SpaceWorld) -> dict[str, Any]:
+    """The constants of a world, what each action does there, and the fields of an episode's bytes."""
+    every = torch.arange(world.n_actions)
+    parts: tuple[Tensor, ...]
+    if isinstance(world, SpaceWorld):
+        fields, parts = IN_3D, decode_in_3d(every, world)  # yaw, pitch [degrees], distance [px]
+    else:
+        fields, parts = FIELDS, decode(every, world)  # turn [degrees], distance [px]
     columns = _columns(world)
-    return [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in fields.items()]
+    told = [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in fields.items()]
+    return {"world": world.model_dump(), "actions": torch.stack(parts, -1).tolist(), "fields": told}
 
 
 def _columns(world: World) -> dict[str, int]:
@@ -278,18 +283,8 @@ def _place(task: WrappedTask, split: str, chosen: Sequence[int]) -> dict[str, An
         shown = [one and {"circles": one[:-1], "goal": one[-1][:2]} for one in circles]
     else:
         shown = [one and {"circles": one} for one in circles]
-    world, every = task.world, torch.arange(task.world.n_actions)
-    parts: tuple[Tensor, ...] = (
-        decode_in_3d(every, world) if isinstance(world, SpaceWorld) else decode(every, world)
-    )
-    constants = {
-        "world": world.model_dump(),
-        "max_steps": task.max_steps,
-        "fields": _told(IN_3D if isinstance(world, SpaceWorld) else FIELDS, world),
-        # each action: turn, in 3D yaw and pitch [degrees], distance [px]
-        "actions": torch.stack(parts, -1).tolist(),
-    }
-    return {"place": {"task": name, "title": ", ".join(words), "layouts": shown, **constants}}
+    place = {"task": name, "title": ", ".join(words), "layouts": shown, "max_steps": task.max_steps}
+    return {"place": place | _constants(task.world)}
 
 
 class Flyer(NamedTuple):

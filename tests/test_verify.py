@@ -315,3 +315,15 @@ def test_columns_that_a_folder_leaves_out_are_named_and_all_others_are_compared(
     edit(run / "episodes.parquet", setting(3, "distance", lambda old: old + 1))
     status, lines = verdict(run)
     assert (status, "the first with another distance" in lines[1]) == (1, True)
+
+
+@pytest.mark.parametrize("frames", [512, 1024])
+def test_rows_of_progress_before_the_first_that_a_folder_keeps_are_left_out_and_said_so(run, verdict, frames):
+    edit(run / "progress.parquet", lambda rows: rows.drop(rows[rows.frame < 1024].index, inplace=True))
+    kept = len(Run(run).progress)
+    status, lines = verdict(run, "--frames", str(frames))
+    assert status == 0
+    assert f" {kept if frames == 1024 else 0} rows of progress" in lines[0]
+    assert lines[1] == "  progress: not compared before frame 1,024, as the folder leaves those rows out"
+    edit(run / "progress.parquet", setting(-1, "grad_norm", lambda old: old + 1e-6))
+    assert verdict(run)[0] == 1

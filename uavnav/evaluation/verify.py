@@ -62,6 +62,10 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
             reached, tables = workers.snapshot_tables(folder, config)
             meta, weights = read_settings(folder / "meta.json"), None
     originals = {"episodes": run.episodes, "progress": run.progress}
+    kept_from, progress = 0, tables["progress"]
+    if len(run.progress) and len(progress):  # a folder may keep the last rows only
+        kept_from = run.progress["frame"].min()
+        tables["progress"] = progress[progress["frame"] >= kept_from]
     if not whole:
         originals = {name: table[table["frame"] <= reached] for name, table in originals.items()}
         originals["episodes"] = finished(originals["episodes"])
@@ -87,6 +91,10 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
             lines.append(
                 f"  {name}: not compared, as the folder leaves them out: {', '.join(map(str, more))}"
             )
+    if len(tables["progress"]) < len(progress):
+        lines.append(
+            f"  progress: not compared before frame {kept_from:,}, as the folder leaves those rows out"
+        )
     if original is None:
         lines.append(f"  weights: not compared, no {POLICY} there; the run's command makes it")
     return Verdict(True, lines)

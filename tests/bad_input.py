@@ -1036,7 +1036,9 @@ CASES = [
         "choose from crelu, "),
     word("evaluate nowhere.zip --activation relu", "nowhere.zip: no such file",
         "what model.save of PPO or DQN wrote"),
-    word("evaluate theirs.zip other/theirs.zip --activation relu --out rows", "--out rows: two zips",
+    word("evaluate theirs.zip other/theirs.zip --activation relu --out rows", "--out rows: two policies",
+        "rename one"),
+    word("evaluate ppo-tanh other/ppo-tanh.zip --activation relu --out rows", "--out rows: two policies",
         "rename one"),
     # rungs
     layouts_for("a rung without a split", lambda f: layouts.load("density-12"), "no such layout file",

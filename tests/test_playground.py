@@ -82,9 +82,9 @@ CHOSEN = (
 const [seen, uniforms] = arguments;
 const observations = seen.map((row) => Float32Array.from(row));
 return playground.data.policies.filter(({ key }) => key.endsWith("-0")).map((policy) => {
-  const [think, fly] = [network(policy), thinker(policy)];
+  const [values_of, fly] = [network(policy), (...asked) => think(policy, ...asked)];
   const drawn = (place) => { let next = 0; return () => uniforms[next++][place]; };
-  const values = observations.map((one) => think(one).values);
+  const values = observations.map((one) => values_of(one).values);
   const greedy = values.map(best);
   const sampled = values.map((one, place) => ACTS[policy.acts](one, policy.epsilon, drawn(place)));
   const flown = observations.slice(0, 100).map((one, place) =>

@@ -63,6 +63,10 @@ def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tm
     found = collect(["a", "study/b=1 x", "a"]).policies
     assert [one["key"] for one in found] == ["a-ppo-tanh-0", "study-b=1-x-ppo-tanh-0"]
     assert (found[1]["title"], found[1]["name"]) == ("PPO tanh, seed 0 (study/b=1 x)", "b=1 x")
+    for name in ("a/b", "a-b"):  # one name in a link
+        write_policies(tmp_path / name, n_seeds=1)
+    both = collect(["a/b", "a-b"])
+    assert both.named == [one["key"] for one in both.policies] == ["a-b-ppo-tanh-0", "a-b-ppo-tanh-0_"]
 
 
 def test_a_policy_of_another_world_or_in_3d_is_left_out_in_a_line_and_refused_where_it_is_named(
@@ -208,3 +212,8 @@ def test_of_very_many_runs_the_newest_are_on_the_page(tmp_path):
         write_policies(tmp_path / f"{age:02}", n_seeds=1)
         os.utime(tmp_path / f"{age:02}" / "policy.safetensors", (1e9 - age, 1e9 - age))
     assert [path.name for path in runs_in(tmp_path)] == [f"{age:02}" for age in range(MOST)]
+    write_policies(tmp_path / "other" / "newest", n_seeds=1)
+    both = [
+        path.name for path in runs_in(*(tmp_path / f"{age:02}" for age in range(MOST)), tmp_path / "other")
+    ]
+    assert both == [*(f"{age:02}" for age in range(MOST - 1)), "newest"]

@@ -77,6 +77,7 @@ BAD = (
         "focus=5",
         "seed=4294967296",
         "greedy=perhaps",
+        "greedy=constructor",
         "pilots=reactive",
     ),
     *(
@@ -791,6 +792,20 @@ def test_named_runs_and_zips_fly_when_the_page_opens_in_the_colours_of_the_one_t
         5,
         [one["key"] for one in found.policies if "dqn" in one["key"]],
     )
+
+
+def test_a_page_of_a_run_with_faults_between_and_beyond_a_sliders_steps_writes_a_link_that_it_reads(
+    chrome, tmp_path
+):
+    write_policies(tmp_path / "run", n_seeds=1, faults={"noise": 2.125, "late": 12})
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect([tmp_path / "run"])))
+    visit(chrome, path)
+    link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
+    assert "&noise=2.125&late=12&" in link
+    visit(chrome, path, f"#{link}")
+    assert not one(chrome, "#notice").is_displayed()
+    assert ask(chrome, "[playground.scene.noise, playground.scene.late]") == [2.125, 12]
 
 
 def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(browser, opened):

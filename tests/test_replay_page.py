@@ -102,7 +102,7 @@ def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_th
     axes = ask(chrome, "bodyAxes({ yaw: radians(30), pitch: radians(-14) })")
     assert torch.tensor(axes).sub(torch.stack(to_body(torch.eye(3), drone))).abs().max() <= 1e-6
     empty, ahead = [0, 0, 0, 1], [0, 0, 1, 0.5]  # halfway between the drone's edge and the sensor's reach
-    (point,) = ask(chrome, f"sensedInBox({world.model_dump_json()}, [1, 2, 3], {axes}, [{ahead}, {empty}])")
+    (point,) = ask(chrome, f"sensedPoints({world.model_dump_json()}, [1, 2, 3], {axes}, [{ahead}, {empty}])")
     assert point == pytest.approx([at + 75 * part for at, part in zip((1, 2, 3), axes[2], strict=True)])
     canvas = one(chrome, ".replay-arena canvas")
     assert canvas.get_dom_attribute("aria-label").endswith("seen from above and from the side")

@@ -192,6 +192,19 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
     assert tuned == {("ppo", "fast"), ("dqn", "fast"), ("sac", "fast")}
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_scripted_policies_count_more_measures_if_any_of_the_configurations_with_a_protocol_does(
+    first, tmp_path
+):
+    several = [
+        f"{{algorithm: ppo, folder: '{name}', evaluate: {{measures: {name}}}}}" for name in ("true", "false")
+    ]
+    text = f"configurations: [{several[first]}, {several[1 - first]}]"
+    found = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
+    (words,) = scripted_evaluations(found, tmp_path)
+    assert words[-1] == "--measures"
+
+
 def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configurations_do_unless_rows_are_there(
     tmp_path,
 ):
@@ -383,6 +396,10 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
             + ", ".join(f"{key}: {[*range(100)]}" for key in ("lr", "gamma", "seed"))
             + "}]",
             "configurations stand for more than 10,000 runs; give fewer values",
+        ),
+        (
+            f"configurations: [{{algorithm: ppo, evaluate: {{max_steps: {[*range(1, 201)]}}}}}]",
+            "evaluate: 200 of each run; give at most 100",
         ),
         ("configurations: [{algorithm: ppo, evaluate: {layouts: 3}}]", "evaluate.layouts=3; give a name"),
         (

@@ -159,9 +159,9 @@ def embedded(figure: Figure) -> str:
     return quote(svg.replace(b"<style>", looks.encode(), 1), safe="/:;=,'()!*+$@?")
 
 
-def panel(title: str, height: float = 5.0, width: float = WIDTH) -> tuple[Figure, Axes]:
-    """A figure of one panel; height, width [inches]."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+def panel(title: str, width: float = WIDTH) -> tuple[Figure, Axes]:
+    """A figure of one panel; width [inches]."""
+    figure = Figure(figsize=(width, 5.0), layout="constrained")
     axes = figure.subplots()
     if width >= WIDTH:
         axes.set_title(title)
@@ -229,9 +229,9 @@ def wrapped(name: str) -> str:
     return "\n".join(textwrap.fill(line, 34) for line in name.splitlines())
 
 
-def name_rows(axes: Axes, names: Sequence[str], **look: Any) -> None:
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
     """Name a chart's rows, from the top."""
-    axes.set_yticks(range(len(names)), list(map(wrapped, names)), **look)
+    axes.set_yticks(range(len(names)), list(map(wrapped, names)))
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")

@@ -12,7 +12,7 @@ from pathlib import Path
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
 from uavnav.evaluation.across import Flyer, across, of_policy, of_run
-from uavnav.evaluation.scripted import option, task_of
+from uavnav.evaluation.scripted import options, task_of
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies, shipped
@@ -64,7 +64,7 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
         raise ConfigError(f"--out {arguments.out}: the rows of a run are kept in its folder; leave it out")
     for name, (usual, why) in OF_ONE_SPLIT.items():
         if elsewhere and (given := getattr(arguments, name)) != usual:
-            raise ConfigError(f"{' '.join(option(name, given))}: {why}; leave it out")
+            raise ConfigError(f"{' '.join(options({name: given}))}: {why}; leave it out")
     if arguments.transfer and arguments.task != "drone":
         told = "--transfer flies in the tasks of the runs"
         raise ConfigError(f"--task {arguments.task}: {told}; leave it out")
@@ -119,9 +119,12 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
 
 def main(arguments: Namespace) -> int:
     """Evaluate all that is named on one split, or across ladders, or in each other's tasks."""
-    zips = policies.zips(arguments.runs, arguments.activation)
-    if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
-        raise ConfigError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
+    learned = [
+        *policies.zips(arguments.runs, arguments.activation),
+        *filter(shipped.is_shipped, arguments.runs),
+    ]
+    if arguments.out is not None and len({Path(name).stem for name in learned}) < len(learned):
+        raise ConfigError(f"--out {arguments.out}: two policies of one name would share a file; rename one")
     found = {name: _found(name, arguments) for name in arguments.runs}
     _check(arguments, found)
     for one in found.values():

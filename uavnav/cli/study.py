@@ -48,7 +48,7 @@ class Keys(Settings):
     checkpoint_seconds: AtLeast0 = key(CHECKPOINT_SECONDS)
     policies: bool = key(False)
     report: bool = key(True)
-    plugins: str | None = key(None)
+    plugins: Any = key(None)
 
 
 def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
@@ -65,8 +65,7 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
         except ValueError as error:
             raise ConfigError(f"{word}: its value cannot be read") from error
     own = Keys(**{name: given.pop(name) for name in Keys.names() if name in given})
-    if own.plugins is not None:
-        plugins.load(own.plugins.split(","))
+    plugins.load(commands.names_in(words, "plugins"))
     return own, given
 
 
@@ -210,8 +209,11 @@ def scripted_evaluations(
             task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
             where = str(flown.layouts), flown.episodes, flown.max_steps, flown.shield
             protocol = scripted.protocol_in(task, *where)
-            usual, more = [one for one in names if one in USUAL], ["--measures"] * configuration.measures
-            wanted[protocol] = (names, more) if flown in evaluations else wanted.get(protocol, (usual, more))
+            usual, (asked, more) = [one for one in names if one in USUAL], wanted.get(protocol, ((), []))
+            wanted[protocol] = (
+                names if flown in evaluations else asked or usual,
+                ["--measures"] if configuration.measures else more,
+            )
     return [
         [*scripted.words(lacking, folder, one), *more]
         for one, (asked, more) in wanted.items()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -31,7 +32,7 @@ def task_of(name: str) -> WrappedTask:
     return task
 
 
-def missing(folder: Path, protocol: Protocol, names: Sequence[str] = USUAL) -> list[str]:
+def missing(folder: Path, protocol: Protocol, names: Sequence[str]) -> list[str]:
     """The scripted policies of some names that can fly so, and whose rows are not in a folder."""
     world = task_of(protocol.task).world
     able = {ORCA: isinstance(world, MovingWorld), VFH: not isinstance(world, SpaceWorld)}
@@ -81,13 +82,13 @@ def words(names: Sequence[str], folder: Path, protocol: Protocol) -> list[str]:
     """What `uavnav evaluate` is given to write the rows of some scripted policies into a folder."""
     usual = Protocol()._asdict()
     own = {name: value for name, value in protocol._asdict().items() if value != usual[name]}
-    given = [word for name, value in own.items() for word in option(name, value)]
-    return [*names, *given, *["--seeds", str(SEEDS)] * (DRAWS in names), "--out", str(folder)]
+    return [*names, *options(own), *["--seeds", str(SEEDS)] * (DRAWS in names), "--out", str(folder)]
 
 
-def option(name: str, value: object) -> list[str]:
-    """A key of a protocol and its value as words of `uavnav evaluate`."""
-    return [f"--{name.replace('_', '-')}", *[str(value)] * (value is not True)]
+def options(own: Mapping[str, object]) -> list[str]:
+    """Keys of a protocol and their values as words of `uavnav evaluate`."""
+    given = [[f"--{name.replace('_', '-')}", *[str(one)] * (one is not True)] for name, one in own.items()]
+    return [*itertools.chain(*given)]
 
 
 def _command(names: Sequence[str], folder: Path, protocol: Protocol) -> str:

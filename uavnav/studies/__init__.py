@@ -57,6 +57,7 @@ OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
 """Keys of a configuration that are no settings of its algorithm."""
 LISTS = ("hidden", "keep_at")  # settings whose value is a list
 MOST_CONFIGURATIONS = 10_000  # of a study, its trials included
+MOST_EVALUATIONS = 100  # of a configuration
 MOST_OBSTACLES = 1_000  # of a layout of a study's own splits
 FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"  # of a value in a folder's name
 PATH = 1_000
@@ -202,7 +203,7 @@ def configurations(study: Study, out: Path) -> list[Configuration]:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             own = _of(algorithm, study.settings) | _of(algorithm, configuration)
             several = {**own, "algorithm": algorithm, **study.given}
-            left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
+            left -= _number(several)
             if left < 0:
                 raise ConfigError(
                     f"study {study.name}: configurations stand for more than {MOST_CONFIGURATIONS:,} runs; "
@@ -232,6 +233,11 @@ def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 def _is_list(key: str, value: Any) -> bool:
     """Whether a value stands for several configurations; a list of units or of shares is one value."""
     return isinstance(value, list) and not (key in LISTS and not any(isinstance(one, list) for one in value))
+
+
+def _number(several: Mapping[str, Any]) -> int:
+    """How many combinations `_combinations` gives."""
+    return math.prod(len(value) for key, value in several.items() if _is_list(key, value))
 
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -315,6 +321,8 @@ def _evaluations(said: Any, usual: Protocol) -> tuple[tuple[Protocol, ...], tupl
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
     several = {"episodes": usual.episodes, "max_steps": usual.max_steps} | said
     own = {key: value for key, value in several.items() if key in PROTOCOL}
+    if (evaluations := _number(own)) > MOST_EVALUATIONS:
+        raise ConfigError(f"evaluate: {evaluations:,} of each run; give at most {MOST_EVALUATIONS}")
     return (
         tuple(_evaluation(one, usual) for one in _combinations(own)),
         tuple(dict.fromkeys(across)),

@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent import futures
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
 from uavnav.evaluation import rows_across, together
-from uavnav.evaluation.scripted import option
+from uavnav.evaluation.scripted import options
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
@@ -183,21 +183,17 @@ def unflown(configuration: Configuration) -> list[list[str]]:
     out, evaluations = configuration.out, configuration.evaluations
     more = ["--measures"] * configuration.measures
     missing = [
-        [*_words(one.header()), *more] for one in evaluations if not (out / one.file("evaluation")).exists()
+        [*options(one.header()), *more] for one in evaluations if not (out / one.file("evaluation")).exists()
     ]
     for bounds in ({"episodes": one.episodes, "max_steps": one.max_steps} for one in evaluations[:1]):
         ladders = [name for name in configuration.across if not (out / rows_across(name, **bounds)).exists()]
-        missing += [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
+        missing += [[*options(bounds), "--alone", "--across", *ladders]] * bool(ladders)
     return missing
 
 
 def evaluated(configuration: Configuration) -> bool:
     """Whether a configuration was flown as its study asks."""
     return not unflown(configuration)
-
-
-def _words(protocol: Mapping[str, Any]) -> list[str]:
-    return [word for key, value in protocol.items() for word in option(key, value)]
 
 
 def make_layouts(out: Path, numbers: Sequence[int]) -> None:

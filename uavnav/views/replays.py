@@ -251,7 +251,7 @@ def _load(configuration: Trained, n_seeds: int) -> tuple[dict[int, Policy], list
         try:
             policy = load_policy(path, seed, greedy=False)
         except PolicyError as error:
-            problems.append(" ".join(str(error).split()))
+            problems.append(str(error))
             continue
         task = name_of(policy.task)
         if task in TITLES:

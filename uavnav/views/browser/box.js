@@ -22,16 +22,6 @@ function bodyAxes({ yaw, pitch }) {
   return [[sine, -cosine, 0], [-climb * cosine, -climb * sine, level], [level * cosine, level * sine, climb]];
 }
 
-/** The points [x, y, z] that slots [right, up, forward, proximity] name. */
-function sensedInBox(world, place, axes, slots) {
-  const filled = slots.filter(([right, up, forward]) => right || up || forward);
-  return filled.map(([right, up, forward, proximity]) => {
-    const reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius);
-    const along = (axis) => right * axes[0][axis] + up * axes[1][axis] + forward * axes[2][axis];
-    return place.map((at, axis) => at + reach * along(axis));
-  });
-}
-
 /** Where spheres are at a step: each coordinate bounces off the walls' outer side. */
 function spheresAt(world, spheres, steps) {
   const size = sizeOf(world);

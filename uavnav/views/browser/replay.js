@@ -53,12 +53,9 @@ function droneAt(world, read, step, trail = Infinity) {
   const slots = Array.from({ length: world.n_slots }, (_, slot) => names.map((name) => read[name](step, slot)));
   const first = Math.max(0, step - trail);
   const flown = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
-  if (inBox) {
-    const axes = bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) });
-    return { place: here, axes, trail: flown, sensed: sensedInBox(world, here, axes, slots) };
-  }
+  const axes = inBox ? bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) }) : planeAxes(angle);
   const pose = { x: here[0], y: here[1], angle };
-  return { pose, trail: flown, sensed: sensedPoints(world, pose, slots) };
+  return { pose, place: here, axes, trail: flown, sensed: sensedPoints(world, here, axes, slots) };
 }
 
 function crashedAt(episode, step) {

@@ -114,16 +114,23 @@ function sense(world, { x, y, heading }, circles, echoes = (slot, distance) => d
   return { observation, clearance };
 }
 
-/** The points [x, y] that the slots of an observation name, in the world: eqs (9), (10) and (13) backwards. */
-function sensedPoints(world, { x, y, angle }, slots) {
+/** A drone's right and forward in the world, each [x, y]: of a heading [radians]. */
+function planeAxes(angle) {
   const [cosine, sine] = [Math.cos(angle), Math.sin(angle)];
-  const points = [];
-  for (const [right, forward, proximity] of slots) {
-    if (right === 0 && forward === 0) continue; // an empty slot
-    const reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius);
-    points.push([x + reach * (right * sine + forward * cosine), y + reach * (forward * sine - right * cosine)]);
-  }
-  return points;
+  return [[sine, -cosine], [cosine, sine]];
+}
+
+/**
+ * The points that the slots of an observation name, as the place has them: eqs (9), (10) and (13) backwards.
+ *
+ * axes: the drone's own in the world; slots: a part along each of them, then the proximity.
+ */
+function sensedPoints(world, place, axes, slots) {
+  const filled = slots.filter((slot) => slot.slice(0, -1).some(Boolean));
+  return filled.map((slot) => {
+    const reach = world.drone_radius + slot.at(-1) * (world.sensor_radius - world.drone_radius);
+    return place.map((at, axis) => at + reach * axes.reduce((sum, own, part) => sum + slot[part] * own[axis], 0));
+  });
 }
 
 /** The slots [right, forward, proximity] of an observation. */

@@ -103,9 +103,10 @@ def usual() -> list[str]:
     return [str(OWN if any(OWN.glob(f"**/{POLICY}")) else shipped.FOLDER)]
 
 
-def runs_in(folder: Path) -> list[Path]:
-    """The runs in and below a folder that have policies, the newest `MOST`; raises a RunError without any."""
-    found = [path for path in run_folders(folder)[0] if (path / POLICY).exists()]
+def runs_in(*folders: Path) -> list[Path]:
+    """The newest `MOST` runs with policies in and below folders; a RunError where a folder has no run."""
+    every = dict.fromkeys(path for folder in folders for path in run_folders(folder)[0])
+    found = [path for path in every if (path / POLICY).exists()]
     newest = sorted(found, key=lambda path: (path / POLICY).stat().st_mtime, reverse=True)[:MOST]
     return [path for path in found if path in newest]
 
@@ -122,6 +123,7 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
     zips = policies.zips([str(word) for word in words], activation)
     named: dict[str, str] = {}  # what was named -> the key of its policy
     runs: dict[str, bool] = {}  # path -> whether it was named itself
+    folders = []
     for word in map(str, words):
         if word in SCRIPTED:
             named[word] = word
@@ -130,10 +132,11 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
         elif Path(word) == shipped.FOLDER:
             runs |= dict.fromkeys(shipped.shipped(), False)
         elif os.path.isdir(word) and not os.path.isfile(Path(word) / POLICY) and not is_zip(word):
-            runs |= {str(path): False for path in runs_in(Path(word)) if str(path) not in runs}
+            folders.append(Path(word))
         else:
             runs[word] = True
             named[word] = ""
+    runs = dict.fromkeys(map(str, runs_in(*folders)), False) | runs
     kept: dict[str, list[Policy]] = {}
     left_out = []
     for path, alone in runs.items():
@@ -154,9 +157,14 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
     for path, own in sorted(kept.items(), key=lambda item: _order(item[1][0])):
         unique = names[own[0].algorithm, _activation(own[0])] == 1 and not is_zip(path)
         packed[path] = [_packed(policy, "" if unique else path, _frames(path)) for policy in own]
+    found, taken = [one for own in packed.values() for one in own], set[str]()
+    for one in found:
+        while one["key"] in taken:  # `a/b` and `a-b` are one name in a link
+            one["key"] += "_"
+        taken.add(one["key"])
     keys = [key or packed[word][0]["key"] for word, key in named.items()]
     tasks = {name_of(own[0].task): own[0].world for own in reversed(kept.values())}
-    return Flyers([one for own in packed.values() for one in own], keys, tasks, left_out)
+    return Flyers(found, keys, tasks, left_out)
 
 
 def _policies(path: str, seed: int | None, activation: str | None, most: int) -> list[Policy]:
@@ -285,7 +293,8 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     scene = _scene(flyers, opening)
     usual = {name: splits.KINDS.get(name, splits.KINDS["drone"]).world() for name in browser.TITLES}
     worlds = {name: flyers.tasks.get(name, world) for name, world in usual.items()}
-    sliders = SETTINGS | {"pace": _reaching(SETTINGS["pace"], worlds["moving"].model_dump()["speed_max"])}
+    values = scene | {"pace": worlds["moving"].model_dump()["speed_max"]}
+    sliders = {name: _reaching(one, values[name]) for name, one in SETTINGS.items()}
     settings = {name: {**one._asdict(), "here": scene[name]} for name, one in sliders.items()}
     data: dict[str, Any] = {
         "tasks": browser.constants(),
@@ -334,8 +343,10 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
 
 
 def _reaching(slider: Setting, value: float) -> Setting:
-    """A slider that a value fits on, to two decimals."""
-    step = 0.01 if value % slider.step else slider.step
+    """A slider that a value fits on, to six decimals."""
+    steps = value / slider.step
+    decimals = len(f"{value:.6f}".rstrip("0").partition(".")[2])
+    step = slider.step if math.isclose(steps, round(steps)) else 10.0**-decimals
     return slider._replace(high=max(slider.high, math.ceil(value)), step=step)
 
 

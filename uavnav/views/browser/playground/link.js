@@ -18,7 +18,7 @@ const LAST_NUMBER = 2 ** 32 - 1; // of random layouts and of seeds
 
 /** A number from low to high in whole steps, as a slider has it. */
 function readNumber(text, { low = 0, high, step = 1 }) {
-  const number = /^\d{1,10}(\.\d{1,2})?$/.test(text) ? Number(text) : NaN;
+  const number = /^\d{1,10}(\.\d{1,6})?$/.test(text) ? Number(text) : NaN;
   const steps = number / step;
   return number >= low && number <= high && Math.abs(steps - Math.round(steps)) < 1e-6 ? number : undefined;
 }
@@ -58,7 +58,7 @@ function readers(settings, { known, splits, world }) {
     pilots: (text) => readPilots(known, text),
     focus: (text) => readNumber(text, { low: 1, high: MOST_DRONES }),
     speed: (text) => SPEEDS.find((speed) => String(speed) === text),
-    greedy: (text) => ({ yes: true, no: false })[text],
+    greedy: (text) => (["yes", "no"].includes(text) ? text === "yes" : undefined),
     seed: (text) => readNumber(text, { high: LAST_NUMBER }),
   };
   for (const [name, slider] of Object.entries(settings)) parts[name] = (text) => readNumber(text, slider);

@@ -154,7 +154,7 @@ class Panel {
   /** The instruments of one drone of a race. */
   showDrone(race, place, mine, colours, font) {
     const drone = race.drones[place];
-    const policy = this.data.policies.find(({ key }) => key === drone.pilot);
+    const policy = race.policyOf(drone.pilot);
     const { action, shown, low, high, hidden = [] } = drone.thought;
     const chosen = race.canFly(drone.pilot) ? (action ?? encode(this.world, race.hand)) : undefined;
     const words = chosen === undefined ? "" : `: ${inWords(this.actions[chosen])}`;

@@ -432,7 +432,7 @@ class Playground {
     const ended = next === race.drones[this.focus].pilot ? "" : "This drone's episode has ended: the next start hands it over. ";
     say(find("take"), next === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
     say(find("focus-number"), String(scene.focus));
-    say(find("acts"), `${ended}${this.data.policies.find(({ key }) => key === next)?.told ?? ""}`);
+    say(find("acts"), `${ended}${race.policyOf(next)?.told ?? ""}`);
     find("pilot").value = next;
     for (const option of find("pilot").options) option.disabled = option.value !== NOBODY && !race.canFly(option.value);
   }

@@ -168,13 +168,10 @@ const SHOWN = { probability: softmax, "Q value": (values) => [...values] };
  * What a policy of the page makes of an observation: { action, hidden, shown, low, high }, where `shown` [actions] is
  * what a picture shows, from `low` to `high`. draw: uniform random numbers; greedy: the best action always.
  */
-function thinker(policy) {
-  let think; // unpacked when it is first asked
-  return (observation, draw, greedy) => {
-    think ??= network(policy);
-    const { hidden, values } = think(observation);
-    const action = greedy ? best(values) : ACTS[policy.acts](values, policy.epsilon, draw);
-    const shown = SHOWN[policy.shown](values);
-    return { action, hidden, shown, low: Math.min(...shown), high: Math.max(...shown) };
-  };
+function think(policy, observation, draw, greedy) {
+  policy.network ??= network(policy); // unpacked when it is first asked
+  const { hidden, values } = policy.network(observation);
+  const action = greedy ? best(values) : ACTS[policy.acts](values, policy.epsilon, draw);
+  const shown = SHOWN[policy.shown](values);
+  return { action, hidden, shown, low: Math.min(...shown), high: Math.max(...shown) };
 }

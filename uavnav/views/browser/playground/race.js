@@ -10,7 +10,6 @@ class Race {
   /** data: the page's, with constants of each task, layouts and policies; scene: as link.js has it. */
   constructor({ tasks, layouts, policies }, scene) {
     Object.assign(this, { tasks, layouts, policies });
-    this.thinkers = Object.fromEntries(policies.map((policy) => [policy.key, thinker(policy)]));
     this.hand = [0, 0]; // what a person steers: a turn [degrees] and a distance [px]
     this.load(scene);
   }
@@ -112,9 +111,13 @@ class Race {
     this.decide(drone);
   }
 
+  policyOf(pilot) {
+    return this.policies.find(({ key }) => key === pilot);
+  }
+
   /** Whether a pilot knows what there is to see in this world: a network reads so many numbers and no others. */
   canFly(pilot) {
-    const policy = this.policies.find(({ key }) => key === pilot);
+    const policy = this.policyOf(pilot);
     return pilot !== NOBODY && (!policy || policy.sizes[0][0] === this.task.observationSize);
   }
 
@@ -123,7 +126,7 @@ class Race {
     const { pilot, observation, draw } = drone;
     if (pilot === YOU || !this.canFly(pilot)) drone.thought = {};
     else if (SCRIPTED[pilot]) drone.thought = { action: SCRIPTED[pilot](this.scene.task, this.task, observation, draw) };
-    else drone.thought = this.thinkers[pilot](observation, draw, this.scene.greedy);
+    else drone.thought = think(this.policyOf(pilot), observation, draw, this.scene.greedy);
   }
 
   /** The place of the person's drone, rather one that flies than one that has ended; -1 where there is none. */

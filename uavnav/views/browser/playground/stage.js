@@ -131,7 +131,7 @@ class Stage {
       return {
         pose,
         trail: [...drone.trail, [pose.x, pose.y]],
-        sensed: seen ? sensedPoints(world, here, slotsOf(world, drone.observation)) : [],
+        sensed: seen ? sensedPoints(world, [here.x, here.y], planeAxes(here.angle), slotsOf(world, drone.observation)) : [],
         crashed: drone.ended === "collision",
         sign: String(place + 1),
         accent: pilots[place],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -66,14 +65,10 @@ def cell(text: str) -> Markup:
     return inline(text)
 
 
-def as_json(data: Any) -> Markup:
-    """Data as a page's script contains it."""
-    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
-
-
 def played(recorded: Mapping[str, Any]) -> Markup:
     """What `views.replays.record` gives as the player's script reads it: without what only Python reads."""
-    return as_json({key: part for key, part in recorded.items() if key not in ("scripted", "left_out")})
+    seen = {key: part for key, part in recorded.items() if key not in ("scripted", "left_out")}
+    return browser.as_json(seen)
 
 
 def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
@@ -169,8 +164,8 @@ TEMPLATES = jinja2.Environment(
     undefined=jinja2.StrictUndefined,
     autoescape=jinja2.select_autoescape(),
 )
-TEMPLATES.filters |= {"json": as_json, "cell": cell, "inline": inline, "plain": plain, "listed": listed}
-TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown, "played": played}
+TEMPLATES.filters |= {"cell": cell, "inline": inline, "plain": plain, "listed": listed, "played": played}
+TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown, "json": browser.as_json}
 STYLES = HERE / "page.css", browser.HERE / "replay.css", browser.HERE / "first.css"
 PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
 """Scripts of the player, in the order in which a browser reads them."""

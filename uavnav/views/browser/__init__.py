@@ -8,9 +8,12 @@ folder `playground` flies live. A page contains the scripts that it needs, one a
 from __future__ import annotations
 
 import inspect
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from uavnav.tasks import baselines, classics, goal, slalom
 from uavnav.tasks.table import TASKS
@@ -53,6 +56,11 @@ def constants() -> dict[str, dict[str, Any]]:
         }
         for name, kind in kinds.items()
     }
+
+
+def as_json(data: Any) -> Markup:
+    """Data as a page's script contains it: no text of theirs can end the script."""
+    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def joined(paths: Sequence[Path]) -> str:

@@ -251,7 +251,6 @@ class Player {
   }
 
   describe() {
-    if (!this.read) return;
     const { slider, status, caption, arena, values } = this.parts;
     const [{ episode, read, step, configuration }, last] = [this, this.episode.steps];
     const where = `step ${step} of ${last}`;

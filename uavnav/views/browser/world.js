@@ -103,12 +103,12 @@ function sense(world, { x, y, heading }, circles, echoes = (slot, distance) => d
     if (forward < least) continue;
     seen.push({ distance, direction: [clamp(right, -1, 1), clamp(forward, 0, 1)] });
   }
-  if (world.slots === "nearest") seen.sort((one, other) => one.distance - other.distance); // stable
+  seen.sort((one, other) => one.distance - other.distance); // stable
   const observation = new Float32Array(3 * world.n_slots);
   for (let slot = 0; slot < world.n_slots; slot += 1) {
     const sensed = seen[slot] && echoes(slot, seen[slot].distance);
     const proximity = clamp(f32(f32(sensed - world.drone_radius) / span), 0, 1);
-    const numbers = sensed === undefined ? [0, 0, world.padding === "far" ? 1 : 0] : [...seen[slot].direction, proximity];
+    const numbers = sensed === undefined ? [0, 0, 1] : [...seen[slot].direction, proximity];
     observation.set(numbers, 3 * slot);
   }
   return { observation, clearance };

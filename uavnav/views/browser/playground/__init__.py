@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import importlib.metadata
 import itertools
-import json
 import math
 import os
 import re
@@ -323,14 +322,13 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
                 if not 0 <= opening.layout < len(given):
                     raise ConfigError(f"--layout {opening.layout}: choose from 0 to {len(given) - 1}")
                 data["layouts"][name][scene["layouts"]] = _rows(given[: max(EPISODES, opening.layout + 1)])
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     algorithms = " and ".join(dict.fromkeys(one["algorithm"].upper() for one in found))
     configurations = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
     return environment.from_string((HERE / "playground.html").read_text(encoding="utf-8")).render(
         css=Markup(browser.joined([HERE / "playground.css"])),
         js=Markup(browser.joined([*browser.WORLD, *SCRIPTS])),
-        data=Markup(text),
+        data=browser.as_json(data),
         metrics=metrics,
         settings=sliders,
         about=ABOUT,

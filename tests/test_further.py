@@ -159,6 +159,9 @@ def test_draws_begin_with_what_was_decided_and_more_draws_begin_with_the_same(tm
     assert plan(study, tmp_path).nearest() == []
     with pytest.raises(ConfigError, match="seed=340 is of draws and of what they choose; give fewer seeds"):
         plan(studies.read("ambiguities", seeds=60), tmp_path)
+    another = study._replace(draw=study.draw | {"screen": {"algorithm": "dqn", "activation": "gelu"}})
+    with pytest.raises(ConfigError, match="screen: dqn gelu: the paper has no such row"):
+        plan(another, tmp_path)
 
 
 def test_configurations_are_trained_in_the_nearest_draws_with_what_their_algorithm_has(tmp_path, monkeypatch):

@@ -159,6 +159,13 @@ def test_a_header_has_the_fields_of_every_world_that_its_sets_were_drawn_by_and_
     assert {name: header[name] for name in layouts.SHAPES if name in header} == told
 
 
+def test_a_wrong_file_with_the_name_of_its_split_is_no_rung_and_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    layouts.save(layouts.generate(3, 4, seed=1), "mine", seed=0, split="mine")
+    with pytest.raises(uavnav.LayoutError, match="mine: is not what seed 0 generates; generate it anew"):
+        layouts.check("mine")
+
+
 def test_an_invalid_split_is_not_written(tmp_path):
     all_layouts = layouts.generate(20, 4)
     all_layouts[3, 1] = torch.tensor([400.0, 420.0, 80.0])  # its edge is 40 px from the start

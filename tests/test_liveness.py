@@ -405,7 +405,7 @@ def test_the_heart_of_a_worker_beats_while_it_flies(tmp_path, monkeypatch):
     monkeypatch.setattr(worker, "STOPS", ())
     own = workers.Worker(tmp_path / "0", CONFIG)
     worker.main(own.prepare(1, FLOWN.header()))
-    assert own.last_words() == {"finished": CONFIG.frames}
+    assert workers.last_words(own.file("ended")) == {"finished": CONFIG.frames}
     (told,) = seen
     assert (told["frames"], told["total"]) == (CONFIG.frames, CONFIG.frames)
     assert not (own.folder / PROGRESS).exists()
@@ -423,8 +423,8 @@ def test_a_worker_whose_episodes_fail_says_why(problem, tmp_path, monkeypatch):
     monkeypatch.setattr(worker, "STOPS", ())
     own = workers.Worker(tmp_path / "0", CONFIG)
     worker.main(own.prepare(1, FLOWN.header()))
-    assert own.last_words()["error"] == str(problem)
-    assert not own.last_words().get("diverged")
+    assert workers.last_words(own.file("ended"))["error"] == str(problem)
+    assert not workers.last_words(own.file("ended")).get("diverged")
 
 
 def test_a_heart_without_a_known_end_is_heard(tmp_path):

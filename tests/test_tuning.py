@@ -144,7 +144,10 @@ def test_a_worker_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_
     monkeypatch.setattr(worker, "evaluate_run", flown)
     own = workers.Worker(tmp_path / "0", PPOConfig())
     worker.main(own.prepare(1, {"episodes": 1}))
-    assert own.last_words() == {"error": "policy.0.weight of seed 3", "diverged": diverged}
+    assert workers.last_words(own.file("ended")) == {
+        "error": "policy.0.weight of seed 3",
+        "diverged": diverged,
+    }
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def one_line(text: object, most: int = MOST) -> str:
     >>> one_line(f"out={'x' * 999}: is a file", 60)
     'out=xxxxxxxxxxxxxxxxxxx…xxxxxxxxxxxxxxxxxxxxxxx: is a file'
     """
-    line = "".join(one if one.isprintable() else _escaped(one) for one in str(text))
+    line = "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in str(text))
     words = line.split(" ")
     kept = max(map(len, words))
     while len(line) > most and kept > WORD:
@@ -50,10 +50,6 @@ def shortened(text: str, most: int) -> str:
 def complain(command: str, error: object) -> None:
     """Say on stderr, in one line, why a command does not do what it was asked for."""
     print(one_line(f"uavnav {command}: {error}", MOST + 30), file=sys.stderr)
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape").decode("ascii")
 
 
 def told(value: object, most: int = WORD * 2) -> str:

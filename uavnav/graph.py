@@ -101,11 +101,10 @@ class Scan(Graph):
 
     def _compile(self, tensors: Tensors) -> Function:
         try:
-            with torch._inductor.config.patch(SETTINGS):
-                return self._traced(tensors)
-        except Exception as error:  # a caller's activation or reward may raise any kind
-            graph = self._one_by_one(tensors)
-            warnings.warn(f"steps run one by one, slower ({telling_line(error)})", stacklevel=2)
+            return super()._compile(tensors)
+        except ConfigError as error:
+            graph, why = self._one_by_one(tensors), telling_line(error.__cause__ or error)
+            warnings.warn(f"steps run one by one, slower ({why})", stacklevel=2)
             return graph
 
     def _traced(self, tensors: Tensors) -> Function:

@@ -24,7 +24,6 @@ from torchrl.objectives import A2CLoss
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.ppo import make_advantage, make_networks
-from uavnav.errors import ConfigError
 from uavnav.networks import Init
 from uavnav.settings import AtLeast0, Count, Share, key
 from uavnav.training.checkpoints import Stateful
@@ -59,14 +58,9 @@ class A2CConfig(TrainConfig):
     lr: AtLeast0 = key(7e-4, "RMSprop's learning rate")
     rms_eps: AtLeast0 = key(1e-5, "RMSprop's ε")
     gae_lambda: Share = key(1.0, "λ of the advantage estimate")
-    critic_coeff: AtLeast0 = key(0.5, "weight of the value loss")
+    critic_coeff: float = key(0.5, "weight of the value loss", gt=0)  # advantages need a value that learns
     entropy_coeff: AtLeast0 = key(0.0, "weight of the entropy bonus")
     init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
-
-    def check(self) -> None:
-        super().check()
-        if self.critic_coeff == 0:
-            raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
 
     @property
     def frames_between_rows(self) -> int:

@@ -76,18 +76,14 @@ class C51Config(QConfig):
         Raises:
             ConfigError: the reward declares no bounds of returns, and they are not given.
         """
-        given = self.v_min, self.v_max
-        bounds = bounds_of_returns(self.reward, self.world, self.gamma)
-        if bounds is None and None in given:
+        bounds = bounds_of_returns(self.reward, self.world, self.gamma) or (None, None)
+        least = bounds[0] if self.v_min is None else self.v_min
+        most = bounds[1] if self.v_max is None else self.v_max
+        if least is None or most is None:
             raise ConfigError(
                 f"reward={self.reward}, gamma={self.gamma:g}: it declares no bounds of returns; give v_min "
                 "and v_max"
             )
-        least, most = (
-            own if own is not None else bound for own, bound in zip(given, bounds or given, strict=True)
-        )
-        assert least is not None
-        assert most is not None
         return least, most
 
     @property

@@ -25,7 +25,6 @@ from torchrl.objectives.value import GAE
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.rollout import RolloutConfig, learn_in_epochs
-from uavnav.errors import ConfigError
 from uavnav.networks import Init
 from uavnav.settings import AtLeast0, Share, Whole, key
 from uavnav.tasks.seeding import Streams
@@ -76,14 +75,9 @@ class PPOConfig(RolloutConfig):
     adam_eps: AtLeast0 = key(1e-5, "Adam's ε")
     gae_lambda: Share = key(0.95, "λ of the advantage estimate")
     clip_epsilon: Share | None = key(0.2, "ε of eq. (2); null clips nothing")
-    critic_coeff: AtLeast0 = key(0.5, "weight of the value loss")
+    critic_coeff: float = key(0.5, "weight of the value loss", gt=0)  # advantages need a value that learns
     entropy_coeff: AtLeast0 = key(0.0, "weight of the entropy bonus")
     init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
-
-    def check(self) -> None:
-        super().check()
-        if self.critic_coeff == 0:
-            raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
 
     def make(self, compile: bool) -> PPO:
         return PPO(self, compile)

@@ -27,7 +27,7 @@ from uavnav.tasks.task import Outcome, Task
 from uavnav.tasks.world import World
 from uavnav.tasks.wrapper import WrappedTask
 
-unchecked = getattr(TensorDict, "_new_unsafe", TensorDict)
+unchecked = TensorDict._new_unsafe
 """As TorchRL's own environments make theirs: checks would cost more than a small step."""
 
 LEAVES = ("observation", "reward", "done", "terminated", "truncated")
@@ -49,10 +49,10 @@ def _size(batch_size: Any) -> torch.Size:
     """A shape of rows; raises a ConfigError where it is none, or too large."""
     shape = _listed("batch_size", batch_size)
     if (
-        not all(isinstance(one, numbers.Integral) and 0 <= int(one) <= MOST_ROWS for one in shape[:8])
+        not all(isinstance(one, numbers.Integral) and 1 <= int(one) <= MOST_ROWS for one in shape[:8])
         or len(shape) > 8
     ):
-        raise ConfigError(f"batch_size={told(batch_size)}; give whole numbers")
+        raise ConfigError(f"batch_size={told(batch_size)}; give whole numbers above 0")
     if math.prod(shape) > MOST_ROWS:
         raise ConfigError(f"batch_size={told(batch_size)}; give at most {MOST_ROWS:,} rows")
     return torch.Size(shape)

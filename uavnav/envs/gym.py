@@ -21,7 +21,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
 from uavnav.envs import scalar
-from uavnav.envs.drawing import draw_state
+from uavnav.envs.drawing import STEPS_PER_SECOND, draw_state
 from uavnav.envs.env import MOST_ROWS
 from uavnav.envs.viewer import Viewer
 from uavnav.errors import ConfigError, among, quoted, told
@@ -37,7 +37,7 @@ from uavnav.tasks.wrapper import WrappedTask
 Observation = np.ndarray[Any, np.dtype[np.floating[Any] | np.integer[Any]]]
 Info = dict[str, Any]
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": STEPS_PER_SECOND}
 MODES = ("human", "rgb_array")
 """How one drone is shown: in a window, or as an array."""
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
-from uavnav.errors import ConfigError, unknown, unknown_key
-from uavnav.runs import draws
+from uavnav.errors import ConfigError, choose_from, unknown, unknown_key
+from uavnav.runs import draws, paper
 from uavnav.runs.tables import RunError
 from uavnav.studies import Configuration, Study
 from uavnav.studies.run import trained
@@ -97,7 +97,8 @@ def plan(study: Study, out: Path, n: int | None = None) -> Plan | None:
     """What a study's file says of draws, another number of them where given; None where it draws nothing.
 
     Raises:
-        ConfigError: a key or a setting is not right, or draws share seeds with what they choose.
+        ConfigError: a key or a setting is not right, the paper has no row of what is screened, or draws share
+            seeds with what they choose.
     """
     if (said := study.draw) is None:
         return None
@@ -107,7 +108,13 @@ def plan(study: Study, out: Path, n: int | None = None) -> Plan | None:
         raise ConfigError(f"study {study.name}: draw: {error}") from error
     found = Plan(study, out, said, n or said["draws"])
     judged = [seed for one in studies.configurations(study, out) for seed in one.config.seeds]
-    if shared := {seed for one in found.screened() for seed in one.config.seeds}.intersection(judged):
+    screened = [one.config for one in found.screened()]
+    for one in screened:
+        if (one.algorithm, one.activation) not in paper.TABLES:
+            row = f"study {study.name}: draw: screen: {one.algorithm} {one.activation}"
+            known = choose_from(one.activation, paper.ACTIVATIONS)
+            raise ConfigError(f"{row}: the paper has no such row; {known}")
+    if shared := {seed for one in screened for seed in one.seeds}.intersection(judged):
         seed = f"study {study.name}: draw: seed={min(shared)}"
         raise ConfigError(f"{seed} is of draws and of what they choose; give fewer seeds")
     return found

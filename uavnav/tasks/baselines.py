@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from uavnav.tasks.classics import apf, dwa, orca, vfh
+from uavnav.tasks.classics import SECTORS, apf, dwa, orca, vfh
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import SCRIPTED
@@ -71,7 +71,6 @@ def _of_size(observation: Tensor) -> World:
     return WORLD if observation.shape[-1] % WORLD.observation_size == 0 else MovingWorld(sense_velocity=True)
 
 
-BEARINGS = torch.arange(-90, 91, 5)  # [degrees] to the right of the heading
 LOOK = 60.0  # [px] that must be free in a direction
 ROOM = 2.0  # [px] beyond the drone's own radius
 
@@ -88,15 +87,15 @@ def towards_goal(
     """
     world = world or GOAL
     (towards, distance, empty, _), (goal, away) = seen(observation, world), target(observation, world)
-    angles = torch.deg2rad(BEARINGS)
+    angles = torch.deg2rad(SECTORS)
     along = towards @ torch.stack([angles.sin(), angles.cos()])  # [..., slots, bearings]
     reach = away.clamp(max=LOOK)[..., None, None]
     flown = (distance[..., None] * along).clamp(min=0).minimum(reach)  # where it is nearest
     nearest = (distance[..., None] ** 2 - 2 * flown * distance[..., None] * along + flown**2).sqrt()
     free = ((nearest > world.drone_radius + ROOM) | (along <= 0) | empty[..., None]).all(-2)
     bearing = torch.rad2deg(torch.atan2(goal[..., 0], goal[..., 1]))
-    apart = torch.where(free, (BEARINGS - bearing[..., None]).abs(), torch.inf)
-    wanted = torch.where(free.any(-1), BEARINGS[apart.argmin(-1)], -90)
+    apart = torch.where(free, (SECTORS - bearing[..., None]).abs(), torch.inf)
+    wanted = torch.where(free.any(-1), SECTORS[apart.argmin(-1)], -90)
     angle = (-wanted).clamp(WORLD.n_turns // 2 + 1 - WORLD.n_turns, WORLD.n_turns // 2)
     closing = (towards * ahead(angle[..., None].float())[..., None, :]).sum(-1)
     room = torch.where(empty | (closing <= 0), torch.inf, (distance - world.drone_radius - MARGIN) / closing)

@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from uavnav.errors import told
 from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.circles import LayoutError
@@ -103,6 +104,8 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
         LayoutError: naming the first layout that is wrong.
     """
     world = world or GoalWorld()
+    if not isinstance(layouts, Tensor):
+        raise LayoutError(f"{told(layouts)}: is no tensor of layouts; give a tensor")
     if layouts.ndim != 3 or layouts.shape[1] == 0:
         raise LayoutError(f"layouts have the shape [n > 0, k + 1, 3], not {list(layouts.shape)}")
     circles.validate(layouts[:, :-1], world)

@@ -283,11 +283,10 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
         LayoutError: it is not, or as `load` does.
     """
     named = not isinstance(layouts, (str, Path)) or layouts in SPLITS
-    is_file = not named and os.path.isfile(layouts)
-    world = _drawn_by(_open(Path(layouts))[1], layouts) if is_file else World()
+    if not named and not os.path.isfile(layouts):
+        return read(layouts)  # a rung, which is generated just now
+    world = World() if named else _drawn_by(_open(Path(layouts))[1], layouts)
     all_layouts, header = read(layouts, world)
-    if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
-        return all_layouts, header
     kind, seed = KINDS[kind_of(world)], header.get("generator_seed", "")
     drawn = header.get("split", ""), len(all_layouts), all_layouts.shape[1] - kind.beside
     if not re.fullmatch(r"[0-9]{1,20}", seed) or not torch.equal(

@@ -104,12 +104,8 @@ class WrappedTask:
     def draw(self, rows: int, generator: torch.Generator) -> Tensor:
         """The random numbers of one step, or of one start, of so many rows: [rows, n_draws] float32."""
         normal, *uniform = self.faults.sizes(self.world.n_slots)
-        drawn = [
-            torch.randn(rows, normal, generator=generator),
-            torch.rand(rows, sum(uniform), generator=generator),
-        ]
-        some = [one for one in drawn if one.numel()]
-        return some[0] if len(some) == 1 else torch.cat(drawn, -1)
+        noise = torch.randn(rows, normal, generator=generator)
+        return torch.cat([noise, torch.rand(rows, sum(uniform), generator=generator)], -1)
 
     def _check_draws(self, draws: Tensor | None) -> None:
         if draws is None and self.n_draws:

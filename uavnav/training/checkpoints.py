@@ -159,7 +159,8 @@ class Checkpoints:
             for damaged in states[: states.index(path)]:  # they would count among the two that are kept
                 damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
-            self._kept = [snapshot.chunks, *self._chunks_of(states[states.index(path) + 1 :])]
+            others = self._readable(states[states.index(path) + 1 :])
+            self._kept = [snapshot.chunks, *(one.chunks for one in others)]
             self._rows_saved = snapshot.frames
             self._drop_strays()
             return snapshot
@@ -173,9 +174,8 @@ class Checkpoints:
         Raises:
             RunError: there is none.
         """
-        for path in self._states():
-            with contextlib.suppress(RunError):
-                return self._read_state(path)
+        for snapshot in self._readable(self._states()):
+            return snapshot
         raise RunError(f"{self.folder.parent}: has no snapshot")
 
     def _read_state(self, path: Path) -> Snapshot:
@@ -212,11 +212,10 @@ class Checkpoints:
         ):
             raise RunError(f"{snapshot.path}: its chunks do not belong together")
 
-    def _chunks_of(self, states: list[Path]) -> Iterator[list[str]]:
-        """Of those that can be read."""
+    def _readable(self, states: list[Path]) -> Iterator[Snapshot]:
         for path in states:
             with contextlib.suppress(RunError):
-                yield self._read_state(path).chunks
+                yield self._read_state(path)
 
     def _read(self, path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         try:

@@ -240,9 +240,7 @@ class TrainConfig(Settings):
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
         """Raise a ConfigError where something takes more bytes than there are; instead: what to give."""
-        if self.device != "cpu":
-            return
-        if needed > files.MEMORY_BYTES:
+        if self.device == "cpu" and needed > files.MEMORY_BYTES:
             taken = f"at least {needed / 2**30:,.1f} GiB of the machine's {files.MEMORY_BYTES / 2**30:.1f}"
             raise ConfigError(f"{what} would take {taken}; give {instead}")
 

@@ -104,15 +104,11 @@ class Worker:
         told = progress(self.folder)
         self.frames, self.lately = told.get("frames", self.frames), told.get("lately", self.lately)
 
-    def last_words(self) -> dict[str, Any]:
-        """What its process wrote when it ended; empty where it has not, or died."""
-        return last_words(self.file("ended"))
-
     def problem(self, status: int | None) -> str:
         """What its process said was wrong; status: of the process, if it has ended."""
         unwritten = "cannot be written; make room there, and the same command goes on from the last snapshot"
         usual = f"{self.folder}: {unwritten}" if status == os.EX_IOERR else ""
-        return str(self.last_words().get("error", usual))
+        return str(last_words(self.file("ended")).get("error", usual))
 
     def saved(self) -> int:
         """The frames per seed behind its newest snapshot, or all where it has finished; 0: none is saved."""
@@ -200,7 +196,7 @@ def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Pr
         time.sleep(POLL_SECONDS)
         for worker, process in [*running]:
             worker.look()
-            status, words = process.poll(), worker.last_words()
+            status, words = process.poll(), last_words(worker.file("ended"))
             if status is not None or words:
                 running.remove((worker, process))
                 if worker.saved() < goal:

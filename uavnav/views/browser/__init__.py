@@ -26,7 +26,7 @@ PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")  # what a page with recor
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
-GOAL |= {"bearings": baselines.BEARINGS.tolist(), "look": baselines.LOOK, "spare": baselines.ROOM}
+GOAL |= {"bearings": classics.SECTORS.tolist(), "look": baselines.LOOK, "spare": baselines.ROOM}
 MOVING: dict[str, Any] = {"body": baselines.BODY, "drift": baselines.DRIFT, "enough": baselines.ENOUGH}
 MOVING["ways"] = [
     ([[round(part, 4) for part in place] for place in places.tolist()], int(first), round(float(worth), 4))

@@ -144,7 +144,9 @@ def test_axe_finds_nothing_serious_on_pages_of_each_kind_in_light_and_dark(chrom
     chrome.get(addresses[f"{name}.html"])
     for colours in ("default", "slate"):
         shown = "document.body.setAttribute('data-md-color-scheme', arguments[0]);"
-        shown += "return Promise.all(document.getAnimations().map(({ finished }) => finished)).then(() => true)"
+        shown += (
+            "return Promise.all(document.getAnimations().map(({ finished }) => finished)).then(() => true)"
+        )
         assert chrome.execute_script(shown, colours)  # colours change slowly
         assert violations(chrome, "serious", "critical") == [], colours
 

@@ -585,3 +585,11 @@ def test_numbers_may_be_written_as_1e6(tmp_path):
     (configuration,) = studies.configurations(studies.read(name), tmp_path)
     assert (configuration.config.total_frames, configuration.config.lr) == (10_000, 0.001)
     assert parse(["frames=1e7"])[0].frames == 10_000_000
+
+
+@pytest.mark.parametrize("said", ["one,other", "one, other", "[one, other]"])
+def test_the_plugins_of_a_study_are_loaded_however_they_are_listed(said, monkeypatch):
+    loaded = []
+    monkeypatch.setattr("uavnav.plugins.load", loaded.extend)
+    parse([f"plugins={said}"])
+    assert loaded == ["one", "other"]

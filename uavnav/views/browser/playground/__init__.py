@@ -135,7 +135,8 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
         else:
             runs[word] = True
             named[word] = ""
-    runs = dict.fromkeys(map(str, runs_in(*folders)), False) | runs
+    for path in map(str, runs_in(*folders)):
+        runs.setdefault(path, False)
     kept: dict[str, list[Policy]] = {}
     left_out = []
     for path, alone in runs.items():

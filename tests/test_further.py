@@ -91,9 +91,10 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
         evaluated(tmp_path / f"noise/{trained:g}/ppo/tanh", reward, protocol, faults=faults)
     reactive = rows(0, (9, 9, 0, 0, 0, 9, 2.0), (9, 9, 0, 0, 0, 9, 3.0)).assign(layout=[0, 1])
     kept(tmp_path / "noise/baselines", protocol.file("reactive"), reactive, protocol)
+    (tmp_path / "noise/baselines/random.parquet").write_bytes(b"damaged")
     found, left_out = evaluations([tmp_path], "noise")
     table = noise.table(found).set_index(["who", "trained"])
-    assert left_out == []
+    assert [line.split(":")[0] for line in left_out] == [f"{tmp_path}/noise/baselines/random.parquet"]
     assert table.loc[("PPO tanh", 5.0), ["flown", "value", "gap", "gain", "above"]].tolist() == [
         5,
         4.5,
@@ -330,6 +331,7 @@ def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps()
     found = table.loc[(10, 0.998)]
     assert (found["gain"], found["value"], found["survive"], found["scripted"]) == (4, 104, 100, 95)
     assert found["gain_high"] - found["gain"] == pytest.approx(half, abs=1e-3)
+    assert found["high"] - found["value"] == pytest.approx(2.776 * np.sqrt(2.5 / 5), abs=1e-3)
     assert np.isnan(table.loc[[(10, 0.99), (20, 0.998)], "gain"]).all()  # itself, and alone
     assert table["verdict"].tolist() == ["–", "more", "–"]
     assert table.loc[(20, 0.998), "survive"] == pytest.approx(60)

@@ -4,7 +4,6 @@ README's table.
 
 import math
 import re
-from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -124,7 +123,7 @@ def judged(content, *verdicts):
 
 
 def test_the_table_of_claims_has_a_grade_a_column_and_a_dash_where_it_cannot_answer(gathered):
-    rows = evidence.rows(judged(gathered, "replicates", "absent"), defaultdict(str))
+    rows = evidence.rows(judged(gathered, "replicates", "absent"))
     header, first, second, third, *_ = evidence.table(rows)
     assert header[2:] == [*COLUMNS]
     assert first[2:] == [

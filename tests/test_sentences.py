@@ -15,7 +15,7 @@ from verdict_evidence import of_metric, of_paper_per_frame
 
 from uavnav.report import evidence, frames, tables, whys
 from uavnav.report.claims import CLAIMS, EVERY, TRAINING
-from uavnav.report.page import FURTHER, SECTIONS, page, said
+from uavnav.report.page import FURTHER, SECTIONS, page
 from uavnav.report.quotes import STUDY, Quotes, Untrue, block, prose
 from uavnav.report.templating import inline, listed, plain
 from uavnav.report.verdicts import audit
@@ -148,7 +148,7 @@ def test_a_part_that_does_not_count_is_never_what_a_sentence_shows(numbers):
 
 
 def test_a_folder_of_a_few_runs_has_no_sentence_of_the_study(gathered, numbers):
-    assert {*said(gathered).values()} == {""}
+    assert {*gathered.said.values()} == {""}
     text = page(gathered, {}, Path("results"))
     assert "<h1>DQN against PPO, four activation functions: what replicates of the paper</h1>" in text
     for name, words in prose(numbers).items():
@@ -189,7 +189,7 @@ def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):
 def test_the_table_of_rewards_has_the_papers_ours_in_training_and_on_unseen_layouts_and_the_scripted_policys(
     numbers,
 ):
-    header, *rows, rule = tables.rewards(numbers, "results/")
+    header, *rows, rule = tables.rewards(numbers)
     assert header[1:] == ["the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]
     assert [row[0] for row in rows] == [
         f"{algorithm} {name}"

@@ -18,7 +18,6 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.report import charts
 from uavnav.report.apart import evaluations
-from uavnav.report.configurations import one_line
 from uavnav.report.frames import NUMBERS, Rows, columns, name
 from uavnav.report.verdicts import ALPHA, OPEN, SEEDS
 from uavnav.runs import Run
@@ -69,7 +68,7 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
             if where.activation in COMPARED:
                 measured[where] = {**_trained(run), FINAL: one.reward}
         except RunError as error:
-            left_out.append(one_line(error))
+            left_out.append(str(error))
     if not measured:
         return {}, left_out
     return {STUDY: table(measured), EQUAL: judged(measured), CARRIED: carried(measured)}, left_out

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav.report.configurations import apart, one_line
-from uavnav.report.frames import REACTIVE, gap_to, name
+from uavnav.report.configurations import apart
+from uavnav.report.frames import REACTIVE, baselines, gap_to, name
 from uavnav.runs import Run, run_folders
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, MODES
@@ -47,13 +47,11 @@ def evaluations(folders: Sequence[Path], study: str) -> tuple[list[Evaluated], l
     """
     found, left_out = [], []
     for home in apart(folders, study):
-        scripted, reactive = [], {}
-        for path in sorted((home / "baselines").glob("*.parquet")):
-            rows = read_table(path, EVALUATED, "evaluate it again")
-            scripted.append((path.name.split("-")[0].removesuffix(path.suffix), rows))
-            if scripted[-1][0] == REACTIVE:
-                reactive[_key(_how(rows))] = rows
+        flown, unread = baselines([home])
+        scripted = [(name.split("-")[0], rows) for name, rows in flown.items()]
+        reactive = {_key(_how(rows)): rows for who, rows in scripted if who == REACTIVE}
         found += [_evaluation(who, None, rows, reactive) for who, rows in scripted if who in SCRIPTED]
+        left_out += unread
         for path in run_folders(home)[0]:
             try:
                 run = Run(path, rows=False)
@@ -63,7 +61,7 @@ def evaluations(folders: Sequence[Path], study: str) -> tuple[list[Evaluated], l
                     rows = read_table(file, EVALUATED | {"mode": "object"}, "evaluate the run again")
                     found.append(_evaluation(who, run, rows[rows["mode"] == mode], reactive))
             except RunError as error:
-                left_out.append(one_line(error))
+                left_out.append(str(error))
     found = [one for one in found if len(one.reward)]
     return (found if any(one.run for one in found) else []), left_out
 

@@ -132,9 +132,9 @@ def panels(
     return figure, list(grid[:count])
 
 
-def errors(rows: pd.DataFrame, ends: Sequence[str] = ("low", "high")) -> Array:
+def errors(rows: pd.DataFrame) -> Array:
     """The lengths of the intervals of a table's `value` below and above it: [2, rows]; 0 without one."""
-    lengths = np.abs(rows[[*ends]].to_numpy().T - rows["value"].to_numpy())
+    lengths = np.abs(rows[["low", "high"]].to_numpy().T - rows["value"].to_numpy())
     return np.asarray(np.nan_to_num(lengths))
 
 

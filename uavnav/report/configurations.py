@@ -98,7 +98,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
                 _merged(configurations[key], configuration) if key in configurations else configuration
             )
         except RunError as error:
-            left_out.append(one_line(error))
+            left_out.append(str(error))
     if not configurations and main == there:
         raise RunError(f"{', '.join(map(str, folders))}: no run that can be used; {left_out[0]}")
     return list(configurations.values()), [*left_out, *(line for _, strays in walked for line in strays)]
@@ -262,12 +262,7 @@ def windowed(configuration: Configuration, windows: Sequence[tuple[float, float]
 
 
 def show(value: object) -> str:
-    return (
-        f"{value:,}"
-        if isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        else one_line(value)
-    )
-
-
-def one_line(text: object) -> str:
-    return " ".join(str(text).split())
+    """A value of a setting, in one line."""
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return f"{value:,}"
+    return " ".join(str(value).split())

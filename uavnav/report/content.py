@@ -40,8 +40,9 @@ from uavnav.report.claims import (
     Evidence,
     asked,
 )
-from uavnav.report.configurations import Configuration, algorithms, collect, one_line, read_as
+from uavnav.report.configurations import Configuration, algorithms, collect, read_as
 from uavnav.report.operating import characteristics
+from uavnav.report.quotes import STUDY, prose
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.templating import Figure
 from uavnav.report.verdicts import Finding, audit
@@ -97,6 +98,11 @@ class Content:
         """Each configuration's test episodes as a row a seed, sampled, by the folder of its first run."""
         read = {str(one.runs[0].path): read_as(one, SAMPLED) for one in self.configurations}
         return {name: seeds for name, seeds in read.items() if len(seeds)}
+
+    @functools.cached_property
+    def said(self) -> dict[str, str]:
+        """The study's prose by block (`quotes`), empty in the report of other runs."""
+        return prose(self.tables) if self.of_the_study else dict.fromkeys(STUDY.blocks, "")
 
     @functools.cached_property
     def baseline_rows(self) -> list[list[str]]:
@@ -260,7 +266,7 @@ def _of_runs(
         try:
             found.append(read(run))
         except RunError as error:
-            problems.append(one_line(error))
+            problems.append(str(error))
     there = [table for table in found if table is not None]
     return pd.concat(there, ignore_index=True) if there else None
 

@@ -24,8 +24,8 @@ class Row(NamedTuple):
     parts: dict[str, tables.Rows]  # by column that answers
 
 
-def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
-    """A row a claim; 12 to 16 where a folder has that study. prose: of `quotes`; root: of links."""
+def rows(content: Content) -> list[Row]:
+    """A row a claim; 12 to 16 where a folder has that study."""
     found = []
     for claim in EVERY if content.worlds else CLAIMS:
         graded, parts, own = dict.fromkeys(COLUMNS, tables.NOTHING), {}, OPEN
@@ -34,23 +34,23 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
         for place, one in grades.to_dict("index").items():
             column, seeds = one["column"], least_to_most([one["least"], one["most"]])
             counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
-            grade = tables.linked(one["grade"], "grades", place, root)
+            grade = tables.linked(one["grade"], "grades", place)
             graded[column] = f"{grade}{counts}, n\u00a0=\u00a0{seeds}"
             judged = content.tables["verdicts"].query("claim == @claim.number and column == @column")
             parts[column] = tables.listed(judged, "verdicts")
             own = one["grade"] if column == claim.column else own
-        said = prose[f"claim_{claim.number}"] or _generic(claim, content, root)
+        said = content.said[f"claim_{claim.number}"] or _generic(claim, content)
         found.append(Row(claim.number, claim.sentence, claim.note, own, graded, said, parts))
     return found
 
 
-def _generic(claim: Claim, content: Content, root: str) -> str:
+def _generic(claim: Claim, content: Content) -> str:
     """The first part that counts, of a folder that no sentence was written for."""
     verdicts = content.tables["verdicts"]
     chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
     for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].to_dict("index").items():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
-        return f"{one['text']}: {tables.linked(effect, 'verdicts', place, root)}"
+        return f"{one['text']}: {tables.linked(effect, 'verdicts', place)}"
     return "No part that counts has runs."
 
 
@@ -60,11 +60,11 @@ def table(found: Sequence[Row]) -> tables.Rows:
     return [["", "the paper says", *COLUMNS], *rows]
 
 
-def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> tables.Rows:
+def against_itself(numbers: Mapping[str, pd.DataFrame]) -> tables.Rows:
     """The parts of claims that the paper's own tables, as printed, do not show: they should be above zero."""
     shown = [["claim", "what it says", "the paper's own tables"]]
     verdicts = numbers["verdicts"]
     for place, one in verdicts[(verdicts["column"] == LOG) & (verdicts["paper"] <= 0)].iterrows():
-        number = tables.linked(tables.number(one["paper"]), "verdicts", place, root)
+        number = tables.linked(tables.number(one["paper"]), "verdicts", place)
         shown.append([str(one["claim"]), one["text"], number])
     return shown

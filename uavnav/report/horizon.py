@@ -40,8 +40,8 @@ def table(found: Sequence[Evaluated]) -> pd.DataFrame:
         usual = flown.get((limit, frames, USUAL)) if gamma != USUAL else None
         survive = 100 * own.rows.groupby("seed")["truncated"].mean().to_numpy()
         rows.append(
-            {"limit": limit, "frames": frames, "gamma": gamma, "n": len(own.reward), "scripted": own.scripted}
-            | named("value", stats.difference([own.reward]))
+            {"limit": limit, "frames": frames, "gamma": gamma, "scripted": own.scripted}
+            | stats.difference([own.reward])._asdict()
             | named("survive", stats.difference([survive]))
             | named("gain", stats.difference([own.reward], [usual.reward]) if usual else stats.NONE)
         )
@@ -60,7 +60,7 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     said = []
     for axes, (limit, panel) in zip(grid, limits, strict=True):
         for gamma, line in panel.groupby("gamma"):
-            ends = charts.errors(line, ["value_low", "value_high"])
+            ends = charts.errors(line)
             colour, marker = looks[gamma]
             at = line["frames"] / 1e6 + 0.02 * gammas.index(gamma)  # so that no interval hides another
             axes.errorbar(at, line["value"], ends, color=colour, marker=marker, capsize=3)

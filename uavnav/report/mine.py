@@ -14,7 +14,7 @@ from uavnav import style
 from uavnav.errors import OneLineError
 from uavnav.report import charts, compare, tables, templating
 from uavnav.report.compare import Contender, ahead
-from uavnav.report.configurations import EMPTY, Configuration, one_line, settings_of, show
+from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.frames import REACTIVE, least_to_most
 from uavnav.report.templating import Figure, sized
 from uavnav.report.verdicts import SEEDS
@@ -242,7 +242,7 @@ def _kept(path: Path, damaged: list[str]) -> pd.DataFrame | None:
     try:
         return read_table(path, EVALUATED, "delete it")
     except RunError as error:
-        damaged.append(one_line(error))
+        damaged.append(str(error))
         return None
 
 

@@ -29,7 +29,6 @@ from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, MODE, label
 from uavnav.report.content import Content
 from uavnav.report.mine import Mine
-from uavnav.report.quotes import STUDY, prose
 from uavnav.report.templating import HERE, TEMPLATES, Source, files_of, pictures, plain
 from uavnav.report.templating import page as fill
 from uavnav.report.verdicts import SEEDS
@@ -117,7 +116,7 @@ def contents(
         firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
         ends = {name: one["ended"] for name, one in firsts.items() if one["steps"] <= PREVIEWED}
         collided = {name for name, ended in ends.items() if ended == "collision"}
-        title, obstacles = plain(said(content)["headline"] or TITLE), np.array(episodes["layouts"][0])
+        title, obstacles = plain(content.said["headline"] or TITLE), np.array(episodes["layouts"][0])
         drawn = arena.preview(title, drones, collided, obstacles, World())
         found["preview.png"] = save(drawn)[1]
     found["report.html"] = page(content, pictures(shown), first, own, watched).encode()
@@ -125,27 +124,21 @@ def contents(
     return found
 
 
-def said(content: Content, root: str = "") -> dict[str, str]:
-    """The study's prose by block (`quotes`), empty in the report of other runs."""
-    return prose(content.tables, root) if content.of_the_study else dict.fromkeys(STUDY.blocks, "")
-
-
-def told(content: Content, root: str = "", **more: Any) -> dict[str, Any]:
-    """What a template is filled with: the content, the study's prose, and more; root: of links."""
-    found = said(content, root)
+def told(content: Content, **more: Any) -> dict[str, Any]:
+    """What a template is filled with: the content, the study's prose, and more."""
     return more | {
         "content": content,
         "numbers": content.tables,
         "of_paper": studies.paper_configurations(content.studies.main),
-        "said": found,
-        "claims": evidence.rows(content, found, root),
-        "root": root,
+        "said": content.said,
+        "claims": evidence.rows(content),
     }
 
 
 def render(template: str, content: Content, root: str = "", **more: Any) -> str:
-    """A template of Markdown, filled with the content and more."""
-    return TEMPLATES.get_template(template).render(told(content, root, **more))
+    """A template of Markdown, filled with the content and more; root: the report's folder, with a slash."""
+    text = TEMPLATES.get_template(template).render(told(content, **more))
+    return re.sub(r"\]\((?=tables/|figures/|report\.)", f"]({root}", text)
 
 
 def page(
@@ -208,4 +201,5 @@ def markdown(content: Content) -> str:
     for name in content.paper_tables:
         part, usual = label([one for one in shown if one.algorithm == name])
         parts.append({"name": name, "usual": usual, "table": tables.table(part, name)})
-    return render("report.md", content, sections=parts, bins=BINS).strip() + "\n"
+    text = render("report.md", content, sections=parts, bins=BINS)
+    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

@@ -24,10 +24,10 @@ class Untrue(ValueError):
 
 
 class Quotes:
-    """What the prose asks of a report's tables; root: the folder of the tables, with a slash."""
+    """What the prose asks of a report's tables."""
 
-    def __init__(self, numbers: Mapping[str, pd.DataFrame], root: str = "") -> None:
-        self.numbers, self.root = numbers, root
+    def __init__(self, numbers: Mapping[str, pd.DataFrame]) -> None:
+        self.numbers = numbers
 
     def table(self, name: str) -> pd.DataFrame:
         """A table by the name of its CSV."""
@@ -95,7 +95,7 @@ class Quotes:
 
     def link(self, words: str, name: str, row: Any = None) -> str:
         """Words that lead to a table, or to a row of it (`tables.linked`)."""
-        return linked(words, name, row, self.root)
+        return linked(words, name, row)
 
 
 _TEMPLATES = jinja2.Environment(  # its own: the page's loads torch
@@ -116,9 +116,9 @@ def block(name: str, quotes: Quotes) -> str:
         raise Untrue(f"{name}: {error}") from error
 
 
-def prose(numbers: Mapping[str, pd.DataFrame], root: str = "") -> dict[str, str]:
+def prose(numbers: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Every block by its name; one that is not true is empty."""
-    found, quotes = {}, Quotes(numbers, root)
+    found, quotes = {}, Quotes(numbers)
     for name in STUDY.blocks:
         try:
             found[name] = block(name, quotes)

@@ -16,7 +16,7 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import COMPARED, NAMES
-from uavnav.report.configurations import MODE, Configuration, episodes_of, one_line, show
+from uavnav.report.configurations import MODE, Configuration, episodes_of, show
 from uavnav.report.frames import NUMBERS, REACTIVE, estimates, name, per_seed_values
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
@@ -97,12 +97,9 @@ class _Cells(string.Formatter):
         return NOTHING if shown == "nan%" else shown
 
 
-def linked(words: str, table: str, row: Any = None, root: str = "") -> str:
-    """Words that lead to a table, or to a row of it: its line in the CSV, after that of the header.
-
-    root: the folder of the tables, with a slash.
-    """
-    return f"[{words}]({root}tables/{table}.csv{f'#L{row + 2}' if row is not None else ''})"
+def linked(words: str, table: str, row: Any = None) -> str:
+    """Words that lead to a table, or to a row of it: its line in the CSV, after that of the header."""
+    return f"[{words}](tables/{table}.csv{f'#L{row + 2}' if row is not None else ''})"
 
 
 def listed(frame: pd.DataFrame, name: str) -> Rows:
@@ -241,7 +238,7 @@ LISTED: Mapping[str, Columns] = {
         "frames": "{frames:,}",
         "γ": "{gamma:g}",
         "seeds": "{n}",
-        "reward": "{value:.1f} [{value_low:.1f}, {value_high:.1f}]",
+        "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
         "reach the time limit [%]": "{survive:.1f} [{survive_low:.1f}, {survive_high:.1f}]",
         "more than with 0.99": "{gain:.1f} [{gain_low:.1f}, {gain_high:.1f}]",
         "earns": "{verdict}",
@@ -487,7 +484,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
     return rows if found else rows[:1]
 
 
-def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
+def rewards(numbers: Mapping[str, pd.DataFrame]) -> Rows:
     """Reward per episode of the paper's configurations: as printed, in training by SB3's log, and of final
     policies on unseen layouts; then the scripted policy's. root: of links.
     """
@@ -499,17 +496,17 @@ def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
         of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
         own = flown[flown["who"] == name(algorithm, activation)]
         printed = number(paper.printed(algorithm, activation, "reward"), 1)
-        ours = _cited(of, MEAN, 1, "metrics", root), _cited(own, REWARD, 0, "gaps", root)
+        ours = _cited(of, MEAN, 1, "metrics"), _cited(own, REWARD, 0, "gaps")
         rows.append([f"{algorithm.upper()} {NAMES[activation]}", printed, *ours])
-    earned = _cited(flown[flown["who"] == REACTIVE], REWARD, 0, "gaps", root)
+    earned = _cited(flown[flown["who"] == REACTIVE], REWARD, 0, "gaps")
     return [*rows, ["scripted policy", NOTHING, NOTHING, earned]]
 
 
-def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str, root: str) -> str:
+def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str) -> str:
     """The number of a table's one row with its interval, and a link to it; a dash where there is none."""
     for place, one in zip(rows.index, rows.to_dict("records"), strict=True):
         shown, *interval = _interval(one, columns, digits).partition(" [")
-        return linked(shown, table, place, root) + "".join(interval)
+        return linked(shown, table, place) + "".join(interval)
     return NOTHING
 
 
@@ -561,7 +558,7 @@ def facts(configurations: list[Configuration]) -> list[str]:
             fact = run.meta.get(kind)
             if isinstance(fact, dict):
                 fact = ", ".join(f"{key} {show(value)}" for key, value in fact.items())
-            groups.setdefault(one_line(fact or "not known"), []).append(str(run.path))
+            groups.setdefault(show(fact or "not known"), []).append(str(run.path))
         for value, paths in groups.items():
             which = f" ({', '.join(paths)})" if len(groups) > 1 else ""
             lines.append(f"{kind.replace('_', ' ')}: {value}{which}")

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import jinja2
 import pandas as pd
-from markupsafe import Markup, escape
+from markdown_it import MarkdownIt
+from markupsafe import Markup
 from matplotlib.figure import Figure as Drawing
 
 from uavnav import style
@@ -20,37 +21,26 @@ from uavnav.views import browser
 HERE = Path(__file__).parent / "templates"
 MOST = 100
 """Rows of a table that a page shows whole, where a number stands for all of it."""
-_MARKS = re.compile(r"\[([^\[\]]+)\]\(([^()\s]+)\)|`([^`]+)`|\*\*([^*]+)\*\*|\*([^*\s][^*]*)\*")
-_ROW = re.compile(r"[\w./]*tables/(\w+)\.csv(?:#L(\d+))?")
+_MARKDOWN = MarkdownIt("zero").enable(["link", "backticks", "emphasis"])
+_ROW = re.compile(r'(?<=\]\(|=")[\w./]*tables/(\w+)\.csv(?:#L(\d+))?')
 _QUOTED = re.compile(r"#row-(\w+?)-(\d*)(?=[\")])")
 _INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
 
 
 def inline(text: str) -> Markup:
     """A line of Markdown: links, code and emphasis. A line of a CSV is a row of this page."""
-    parts, end = [], 0
-    for mark in _MARKS.finditer(text):
-        words, where, code, strong, emphasis = mark.groups()
-        parts.append(escape(text[end : mark.start()]))
-        if words and re.match(r"(?!https?:)[\w.+-]+:", where):  # no address of a page, such as a script
-            parts.append(escape(words))
-        elif words:
-            parts.append(Markup('<a href="{}">{}</a>').format(anchored(where), words))
-        else:
-            tag = "code" if code else "strong" if strong else "em"
-            parts.append(Markup(f"<{tag}>{{}}</{tag}>").format(code or strong or emphasis))
-        end = mark.end()
-    return Markup("").join([*parts, escape(text[end:])])
+    return Markup(anchored(_MARKDOWN.renderInline(text)))
 
 
-def anchored(where: str) -> str:
-    """Where a row of a table is on a page that contains it; other addresses as they are."""
-    return _ROW.sub(lambda found: f"#row-{found[1]}-{found[2] or ''}", where)
+def anchored(text: str) -> str:
+    """A text, of which links to a row of a table lead to where it is on the page."""
+    return _ROW.sub(lambda found: f"#row-{found[1]}-{found[2] or ''}", text)
 
 
 def plain(text: str) -> str:
     """A line of Markdown without its marks."""
-    return _MARKS.sub(lambda mark: next(one for one in (mark[1], *mark.groups()[2:]) if one), text)
+    (line,) = _MARKDOWN.parseInline(text)
+    return "".join(one.content for one in line.children or ())
 
 
 def listed(text: str) -> list[str]:

@@ -14,7 +14,7 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import frames
-from uavnav.report.configurations import collect, one_line
+from uavnav.report.configurations import collect
 from uavnav.report.studies import Configurations
 from uavnav.runs import trials
 from uavnav.runs.definitions import SAMPLED
@@ -52,7 +52,7 @@ def read(
         try:
             own, lines = collect([place]) if place.is_dir() else ([], [])
         except RunError as error:
-            own, lines = [], [one_line(error)]
+            own, lines = [], [str(error)]
         configurations[which] |= {(one.algorithm, one.activation): one for one in own}
         left_out += lines
     compared = _compared(configurations, baselines, algorithms)

@@ -17,7 +17,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report.claims import ALL_TASKS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
-from uavnav.report.configurations import MODE, apart, one_line, order, settings_of
+from uavnav.report.configurations import MODE, apart, order, settings_of
 from uavnav.report.frames import Rows, columns
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
@@ -82,7 +82,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             who = {"run": str(path), "task": task, "algorithm": run.algorithm, "activation": key[-1]}
             made.append({**who, "seeds": len(run.seeds), **facts, **(run.meta.get("machine") or {})})
         except (RunError, KeyError) as error:
-            left_out.append(one_line(error))
+            left_out.append(str(error))
     if not seeds:
         return None
 

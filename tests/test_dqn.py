@@ -238,27 +238,3 @@ def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
     assert DQNConfig(n_envs=1).frames_per_iteration == 4
     with pytest.raises(ConfigError, match=r"n_envs=6; give a multiple or a divisor of frames_per_update=4"):
         DQNConfig(n_envs=6)
-
-
-def test_random_start_headings_of_a_run_differ_and_follow_its_seed(tmp_path, monkeypatch):
-    """Headings of the last step's states that have just begun an episode: every one, at a time limit of
-    one step.
-    """
-    headings, add = [], Recorder.add_open_episodes
-
-    def watch_state(self, state, frame):
-        headings.append(state.heading.flatten().tolist())
-        add(self, state, frame)
-
-    monkeypatch.setattr(Recorder, "add_open_episodes", watch_state)
-    settings = {
-        "total_frames": 32,
-        "n_envs": 64,
-        "max_steps": 1,
-        "world": {"start_heading": "random"},
-        "compile": "off",
-    }
-    for index, seed in enumerate((0, 0, 1)):
-        train(DQNConfig(seed=seed, **settings), out=tmp_path / str(index), quiet=True)
-    assert headings[0] == headings[1] != headings[2]
-    assert len(set(headings[0])) > 10

@@ -21,6 +21,7 @@ from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.table import EMPTY, TASKS, make_task
 from uavnav.tasks.table import header as header_of
 from uavnav.training import weights
+from uavnav.views import render
 
 OTHER = {
     **{
@@ -166,9 +167,12 @@ def test_a_policys_file_gives_back_the_task_that_it_was_trained_in(given, narrow
     path = tmp_path / "policy.safetensors"
     path.write_bytes(weights.serialize(trainee.networks(), config, trainee.actor))
     policy, task = load_policy(path), config.make_task()
-    assert {**header_of(policy.task), "layouts": policy.layouts} == header_of(task)
-    assert type(policy.task.task) is type(task.task)
-    assert policy.world == task.world
+    (pilot,) = render.load_pilots([str(path)])
+    for there in (policy.task, pilot.task):
+        assert {**header_of(there), "layouts": policy.layouts} == header_of(task)
+        assert type(there.task) is type(task.task)
+    assert (policy.world, policy.reward, policy.seed) == (task.world, task.reward, 0)
+    assert pilot.mode == "sampled"
     observation, _ = task.observe(task.start(torch.arange(5), torch.full((5,), 90)))
     assert torch.equal(policy.values(observation), trainee.policy(observation[None])[0])
 

@@ -9,7 +9,6 @@ import yaml
 
 from uavnav import runs
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.a2c import PRESETS as A2C_PRESETS
 from uavnav.algorithms.a2c import A2CConfig
 from uavnav.algorithms.c51 import PRESETS as C51_PRESETS
 from uavnav.algorithms.c51 import C51Config
@@ -17,7 +16,6 @@ from uavnav.algorithms.dqn import PRESETS as DQN_PRESETS
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
 from uavnav.algorithms.ppo import PPOConfig
-from uavnav.algorithms.sac import PRESETS as SAC_PRESETS
 from uavnav.algorithms.sac import SACConfig
 from uavnav.cli.train import _sweep
 from uavnav.errors import ConfigError
@@ -137,17 +135,9 @@ def test_other_presets_differ_from_it_where_they_say():
     assert fast == {"double": True, "dueling": False, "n_steps": 5, "lr": 2.5e-4, "gamma": 0.98}
 
 
-@pytest.mark.parametrize(
-    ("kind", "presets"),
-    [
-        (PPOConfig, PPO_PRESETS),
-        (DQNConfig, DQN_PRESETS),
-        (A2CConfig, A2C_PRESETS),
-        (C51Config, C51_PRESETS),
-        (SACConfig, SAC_PRESETS),
-    ],
-)
-def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets):
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(name):
+    kind, presets = ALGORITHMS[name].config, ALGORITHMS[name].presets
     assert {name: preset.preset for name, preset in presets.items()} == {name: name for name in presets}
     with pytest.raises(ConfigError, match="preset=quick; choose from"):
         kind(preset="quick")
@@ -237,14 +227,12 @@ def test_a_preset_of_a_plugin_alone_reads_its_run_again():
     assert there["lr"] == 0.5
 
 
-MANY = {PPOConfig: 16, A2CConfig: 16, DQNConfig: 64, C51Config: 64, SACConfig: 64}
-
-
-@pytest.mark.parametrize(("kind", "many"), MANY.items())
-def test_the_default_preset_is_the_papers_with_one_environment_and_vectorised_has_many(kind, many):
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_the_default_preset_is_the_papers_with_one_environment_and_vectorised_has_many(name):
+    kind, many = ALGORITHMS[name].config, {"ppo": 16, "a2c": 16}.get(name, 64)
     assert (kind().preset, kind().n_envs) == ("paper", 1)
     assert kind(preset="vectorised") == kind(n_envs=many).replace(preset="vectorised")
-    assert kind().folder == Path("runs") / f"{kind.algorithm}-paper" / "tanh"
+    assert kind().folder == Path("runs") / f"{name}-paper" / "tanh"
     assert runs.Config.model_fields["preset"].default == "paper"  # of a config.yaml that names none
 
 

@@ -9,12 +9,11 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from tensordict import TensorDict
 
-import uavnav
-from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_loss, make_network, train
+from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_loss, make_network
 from uavnav.algorithms.replay import Replay
 from uavnav.errors import ConfigError
 from uavnav.tasks.seeding import Streams
-from uavnav.training.recorder import Recorder
+from uavnav.training.loop import make_collector, make_env
 
 
 def losses_by_row(batch, config):
@@ -188,48 +187,6 @@ def test_epsilon_falls_from_1_to_5_percent_over_a_tenth_of_the_frames_once_learn
     assert PRESETS["vectorised-2.3"].epsilon(1_000) == pytest.approx(0.9905)
 
 
-def test_before_learning_starts_every_action_is_random_and_no_weight_moves(tmp_path):
-    run = train(
-        DQNConfig(total_frames=4_000, learning_starts=4_000, n_envs=16, compile="off"),
-        out=tmp_path / "r",
-        quiet=True,
-    )
-    counts = run.episodes.sum()
-    assert abs(counts.turns / counts.steps - 0.9) < 0.02
-    observation = torch.rand(5, 30)
-    before = make_network(DQNConfig())(observation[None])[0]
-    assert torch.equal(uavnav.load_policy(run.path).values(observation), before)
-
-
-def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
-    """At 16 environments: after steps 4, 8 and 12, and what was copied are the weights of that moment."""
-    settings = {"learning_starts": 16, "target_update_frames": 64, "n_envs": 16}
-    config = DQNConfig(total_frames=16 * 13, lr=1e-2, compile="off", **settings)
-    kept = {}
-    monkeypatch.setattr(
-        "uavnav.algorithms.dqn.make_loss",
-        lambda network, config: kept.setdefault("loss", make_loss(network, config)),
-    )
-    targets, online = [], []
-    original = Recorder.add_episodes
-
-    def watch(self, following, frame):
-        targets.append(
-            torch.cat([v.flatten() for v in kept["loss"].target_value_network_params.values(True, True)])
-        )
-        online.append(
-            torch.cat([v.detach().flatten() for v in kept["loss"].value_network_params.values(True, True)])
-        )
-        original(self, following, frame)
-
-    monkeypatch.setattr(Recorder, "add_episodes", watch)
-    train(config, out=tmp_path / "r", quiet=True)
-    copied = [step for step in range(1, 13) if not torch.equal(targets[step], targets[step - 1])]
-    assert copied == [4, 8, 12]  # seen at the beginning of the step after
-    for step in copied:
-        assert torch.equal(targets[step], online[step - 1])  # before that step's own updates
-
-
 def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
     assert DQNConfig(n_envs=64).updates_per_step == 16
     assert DQNConfig(n_envs=64).iterations * 16 == 250_000
@@ -240,25 +197,23 @@ def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
         DQNConfig(n_envs=6)
 
 
-def test_random_start_headings_of_a_run_differ_and_follow_its_seed(tmp_path, monkeypatch):
-    """Headings of the last step's states that have just begun an episode: every one, at a time limit of
-    one step.
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_compiled_updates_of_a_dueling_network_from_several_steps_are_eager_ones():
+    """Double, three steps, time limits of five: what each row says of its steps reaches the graph. C51's, and
+    DQN's without all this: `test_algorithms`.
     """
-    headings, add = [], Recorder.add_open_episodes
-
-    def watch_state(self, state, frame):
-        headings.append(state.heading.flatten().tolist())
-        add(self, state, frame)
-
-    monkeypatch.setattr(Recorder, "add_open_episodes", watch_state)
-    settings = {
-        "total_frames": 32,
-        "n_envs": 64,
-        "max_steps": 1,
-        "world": {"start_heading": "random"},
-        "compile": "off",
-    }
-    for index, seed in enumerate((0, 0, 1)):
-        train(DQNConfig(seed=seed, **settings), out=tmp_path / str(index), quiet=True)
-    assert headings[0] == headings[1] != headings[2]
-    assert len(set(headings[0])) > 10
+    small = {"n_seeds": 2, "n_envs": 8, "total_frames": 256, "learning_starts": 64, "hidden": (16,)}
+    more = {"n_steps": 3, "max_steps": 5, "double": True, "dueling": True, "target_update_frames": 64}
+    config = DQNConfig(**small, **more, lr=1e-3)
+    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
+    eager, compiled = (config.make(compile=compile) for compile in (False, True))
+    for frames, batch in zip(range(8, 257, 8), flown, strict=False):
+        eager.learn(batch.clone(), frames)
+        compiled.learn(batch, frames)
+    first = config.make(compile=False).network
+    for one, other, before in zip(
+        *(net.parameters() for net in (eager.network, compiled.network, first)), strict=True
+    ):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+        assert (one - before).abs().max() > 1e-3

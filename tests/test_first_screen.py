@@ -28,8 +28,6 @@ pytestmark = pytest.mark.slow
 
 REPORT = RESULTS / "report.html"
 SCREENS = [(WIDE, 800), (NARROW, 844)]
-HEIGHT_BEFORE = {WIDE: 42_118, NARROW: 52_843}
-"""Of the page before sections were folded [px], by width."""
 PICTURES = "return [...document.querySelectorAll('.together canvas')].map((one) => one.toDataURL())"
 
 
@@ -123,12 +121,6 @@ def test_the_sentence_is_short_and_its_number_leads_to_its_row_and_the_drones_ha
     assert [name.split()[0] for name in names] == ["PPO", "DQN", "scripted"]
     shown = "return [...document.querySelectorAll('.together strong')].map((one) => one.textContent)"
     assert chrome.execute_script(shown) == names
-
-
-@pytest.mark.parametrize(("width", "height"), SCREENS)
-def test_the_page_as_it_opens_is_at_most_half_as_tall_as_it_was(chrome, width, height):
-    visit(chrome, width, height)
-    assert chrome.execute_script("return document.documentElement.scrollHeight") < HEIGHT_BEFORE[width] / 2
 
 
 def test_at_390_px_every_figure_is_whole_and_drawn_for_it_with_words_that_can_be_read(chrome):

@@ -17,11 +17,11 @@ from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_st
 from uavnav.evaluation.episodes import start
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.state import COUNTS, at
+from uavnav.tasks.state import at
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.world import World
 from uavnav.views import render
-from uavnav.views.render import Episode, Film, Pilot, fly
+from uavnav.views.render import Film, Pilot, fly
 
 render_command = functools.partial(commands.run, "render")
 
@@ -218,17 +218,6 @@ def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third
         assert image.n_frames == 11
         assert image.size == (968, 390)
         assert image.info["duration"] == 100  # three steps at 30 a second
-
-
-@pytest.mark.parametrize("greedy", [True, False])
-def test_an_episode_of_the_command_is_the_episode_that_an_evaluation_has(run, greedy):
-    policy = uavnav.load_policy(run.path, greedy=greedy)
-    rows = uavnav.evaluate_policy(policy, max_steps=100)
-    (row,) = rows[rows["layout"] == 0].to_dict("records")
-    flown: Episode = fly(Pilot("", policy, policy.task), uavnav.layouts.load("test"), 0, 100)
-    last = flown.states[-1]
-    assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
-    assert (flown.ended == "collided") == row["terminated"]
 
 
 def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(

@@ -1,8 +1,7 @@
-"""The worlds in 3D, in use: what learns in them, their environments, scripted rules and pictures."""
+"""The worlds in 3D, in use: what learns in them, scripted rules and pictures."""
 
 import functools
 
-import gymnasium
 import numpy as np
 import pytest
 import space_by_hand as by_hand
@@ -21,7 +20,6 @@ from uavnav.training import probes
 from uavnav.views import render
 
 SENSED = {"sense_velocity": True}
-SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
 
 
 # -- what learns in it ---------------------------------------------------------------------------------------
@@ -80,39 +78,6 @@ def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():
     names = [set(kind.names()) for kind in (SpaceWorld, SpaceMovingWorld)]
     assert names[1] - names[0] == {"speed_min", "speed_max", "sense_velocity"}
     assert (SpaceMovingWorld().n_actions, SpaceMovingWorld(**SENSED).observation_size) == (100, 70)
-
-
-# -- the shells ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_single_and_vector_environments_fly_the_same_steps_and_say_where_they_are(name, fields):
-    known = {"space": "uavnav/Space-v0", "space-moving": "uavnav/SpaceMoving-v0"}[name]
-    one = gymnasium.make(known, layouts="test", **fields)
-    many = gymnasium.make_vec(known, num_envs=2, layouts="test", **fields)
-    sets = one.unwrapped.layouts.double().tolist()
-    seen, info = one.reset(options={"layout": 3})
-    both, infos = many.reset(options={"layout": [3, 3]})
-    place, yaw, pitch = by_hand.START, 90, 0
-    for t, action in enumerate(
-        torch.randint(100, (30,), generator=torch.Generator().manual_seed(1)).tolist()
-    ):
-        np.testing.assert_array_equal(seen, both[1])
-        assert one.observation_space.contains(seen)
-        assert (info["x"], info["y"], info["z"]) == pytest.approx(place, abs=1e-3)
-        assert (info["yaw"], info["pitch"], info["layout"]) == (yaw, pitch, 3)
-        assert {key: infos[key][1] for key in info} == info
-        now = by_hand.drift(sets[3], t) if name == "space-moving" else [(one, (0, 0, 0)) for one in sets[3]]
-        assert info.get("steps", t) == t
-        np.testing.assert_allclose(one.unwrapped.obstacles, [sphere for sphere, _ in now], atol=1e-4)
-        np.testing.assert_allclose(many.unwrapped.velocities[1], [velocity for _, velocity in now], atol=1e-6)
-        place, yaw, pitch = by_hand.move(place, yaw, pitch, action)
-        seen, reward, terminated, _, info = one.step(action)
-        both, rewards, ended, _, infos = many.step(np.array([action, action]))
-        assert (reward, terminated) == (rewards[1], ended[1])
-        if terminated:
-            break
-    assert t > 5
 
 
 # -- scripted rules ------------------------------------------------------------------------------------------

@@ -65,8 +65,8 @@ def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_
 @pytest.mark.parametrize("n", [2, 5, 10])
 def test_the_interval_of_the_mean_of_few_normal_seeds_covers_it_in_about_95_percent_of_1000_draws(n):
     rng = np.random.default_rng(n)
-    rows = stats.intervals(rng.normal(7.0, 2.0, size=(1000, n)), [np.mean, stats.interquartile_mean])
-    assert 0.93 <= np.mean([mean.low <= 7.0 <= mean.high for mean, _ in rows]) <= 0.97
+    rows = stats.intervals(rng.normal(7.0, 2.0, size=(1000, n)), [np.mean])
+    assert 0.93 <= np.mean([mean.low <= 7.0 <= mean.high for (mean,) in rows]) <= 0.97
     known = ttest_1samp([1.0, 2.0, 6.0], 0).confidence_interval()
     assert stats.interval([1.0, 2.0, 6.0]) == pytest.approx((3.0, known.low, known.high, 3))
 

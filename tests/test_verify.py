@@ -286,26 +286,6 @@ def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monk
     assert err == "uavnav verify: stopped, nothing was compared\n"
 
 
-def test_a_run_with_a_sensor_of_90_degrees_is_repeated_in_that_world(tmp_path, verdict):
-    config = ppo.PPOConfig(
-        n_envs=16,
-        total_frames=1024,
-        frames_per_batch=512,
-        epochs=1,
-        reward="additive",
-        world={"sensor_arc": 90},
-        compile="off",
-    )
-    run = ppo.train(config, out=tmp_path / "run", quiet=True)
-    status, lines = verdict(run.path)
-    assert (status, len(lines)) == (0, 1)
-    path = run.path / "config.yaml"
-    path.write_text(path.read_text().replace("  sensor_arc: 90.0\n", "  sensor_arc: 180.0\n"))
-    status, lines = verdict(run.path)
-    assert status == 1
-    assert lines[1].startswith("  episodes: ")
-
-
 def test_columns_that_a_folder_leaves_out_are_named_and_all_others_are_compared(run, verdict):
     edit(run / "episodes.parquet", lambda table: table.drop(columns=["env", "layout"], inplace=True))
     n = len(Run(run).episodes)

@@ -3,7 +3,6 @@ stopped.
 """
 
 import contextlib
-import inspect
 import os
 import random
 import re
@@ -348,24 +347,6 @@ def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatc
     assert machine.processes(PPOConfig(n_seeds=10, activation="mine")) == 1
     monkeypatch.setitem(networks.ACTIVATIONS, "tanh", torch.sin)
     assert machine.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1
-
-
-def test_training_shows_the_10_arguments_that_it_takes():
-    names = [
-        "config",
-        "out",
-        "overwrite",
-        "quiet",
-        "checkpoint_seconds",
-        "until",
-        "tell",
-        "processes",
-        "logger",
-        "fit",
-    ]
-    assert train is train_dqn
-    assert list(inspect.signature(train).parameters) == names
-    assert inspect.signature(train).parameters["config"].annotation == "TrainConfig"
 
 
 @pytest.mark.parametrize("processes", [0, -1, 4, 2.5, True])

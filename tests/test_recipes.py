@@ -3,7 +3,6 @@ work.
 """
 
 import json
-import re
 import shlex
 import subprocess
 import sys
@@ -13,7 +12,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from uavnav import PolicyError, evaluation, load_policy
+from uavnav import evaluation
 from uavnav.__main__ import main
 from uavnav.algorithms.a2c import A2CConfig
 from uavnav.algorithms.ppo import PPOConfig
@@ -185,54 +184,6 @@ def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
         assert run.config["activation"] == activation
         assert set(run.episodes.seed) == {3}
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
-
-
-PLUGIN = '''
-"""A user's own module: an activation, a reward, and an algorithm that is A2C by another name."""
-
-import torch
-
-from uavnav.algorithms import ALGORITHMS, Algorithm, a2c
-from uavnav.networks import ACTIVATIONS
-from uavnav.tasks.rewards import REWARDS
-from uavnav.training.loop import train
-
-ACTIVATIONS["sine"] = torch.sin
-REWARDS["still"] = lambda step: {"still": (step.distance == 0).double()}
-ALGORITHMS["mine"] = Algorithm("a_plugin", "categorical", "logits", "probability")
-
-
-class MineConfig(a2c.A2CConfig):
-    algorithm = "mine"
-
-
-PRESETS = {"paper": MineConfig()}
-'''
-
-
-@pytest.mark.usefixtures("warm")
-def test_train_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_says_so(tmp_path):
-    (tmp_path / "a_plugin.py").write_text(PLUGIN)
-    words = ["mine", "plugins=a_plugin", "activation=sine", "reward=still", "total_frames=480", "out=run"]
-    command = [sys.executable, "-m", "uavnav", "train", *words, "evaluate=false"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "the run is in run" in done.stdout
-    assert "\ncompare it:   uavnav compare run reactive --plugins a_plugin\n" in done.stdout
-    assert done.stdout.endswith(" plugins=a_plugin\n")
-    run = Run(tmp_path / "run")
-    assert (run.algorithm, run.config["activation"], run.config["reward"]) == ("mine", "sine", "still")
-    assert list(run.meta["plugins"]) == ["a_plugin"]
-    stops = run.episodes.reward == run.episodes.stops
-    assert stops.all()
-    with pytest.raises(PolicyError, match=r"it was made with plugins, give --plugins a_plugin"):
-        load_policy(run.path)
-    told = subprocess.run(
-        [*command[:5], "plugins=a_plugin", "--help"], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert told.stdout.startswith("usage: uavnav train mine ")
-    assert re.search(r"\n  activation=tanh .*, sine, ", told.stdout)
-    assert re.search(r"\n  n_steps=5 +\[steps\] of every environment in a rollout", told.stdout)
 
 
 @pytest.mark.usefixtures("warm")

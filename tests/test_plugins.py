@@ -133,14 +133,6 @@ def test_a_run_with_a_plugin_trains_compiled_in_two_processes(folder):
     assert (meta["compiled"], meta["processes"], list(meta["plugins"])) == (True, 2, ["my_study"])
 
 
-def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monkeypatch):
-    monkeypatch.setitem(uavnav.networks.ACTIVATIONS, "cubed", lambda x: x**3)
-    config = ppo.PPOConfig(activation="cubed", **SHORT)
-    with pytest.raises(ConfigError, match="processes=2: activation=cubed is known only to this process"):
-        ppo.train(config, out=tmp_path / "run", quiet=True, processes=2)
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize(
     ("words", "line"),
     [

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from uavnav import ConfigError, evaluation, load_policy
-from uavnav.algorithms import a2c, c51, dqn, ppo, sac
+from uavnav.algorithms import dqn, ppo
 from uavnav.cli import commands
 from uavnav.evaluation import episodes, evaluate_policy, evaluate_run, on
 from uavnav.networks import mlp
@@ -46,9 +46,6 @@ HOW = {
 CONFIGS = {
     "ppo": ppo.PPOConfig(total_frames=512, frames_per_batch=128, minibatch_size=64, epochs=1, **HOW),
     "dqn": dqn.DQNConfig(total_frames=512, learning_starts=64, frames_per_update=16, buffer_size=128, **HOW),
-    "a2c": a2c.A2CConfig(total_frames=512, **HOW),
-    "c51": c51.C51Config(total_frames=512, learning_starts=64, buffer_size=128, **HOW),
-    "sac": sac.SACConfig(total_frames=512, learning_starts=64, buffer_size=128, **HOW),
 }
 
 
@@ -57,9 +54,7 @@ def tables(path):
     return [table.drop(columns="frames_per_second", errors="ignore") for table in read]
 
 
-@pytest.mark.parametrize(
-    "name", ["ppo", "dqn", *(pytest.param(one, marks=pytest.mark.slow) for one in ("a2c", "c51", "sac"))]
-)
+@pytest.mark.parametrize("name", CONFIGS)
 def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_its_task(name, tmp_path):
     config = CONFIGS[name]
     whole = ppo.train(config, out=tmp_path / "whole", quiet=True)

@@ -283,7 +283,9 @@ class AmongMoving(Episode):
 
 
 class ToGoal(Episode):
-    """The same with a goal within 40 px, which is the last row of a set."""
+    """The same with a goal, which is the last row of a set."""
+
+    radius = 40
 
     def obstacles(self):
         return self.layouts[self.layout][:-1]
@@ -300,7 +302,7 @@ class ToGoal(Episode):
         ]
 
     def doubtful(self):
-        return super().doubtful() or abs(self.to_goal()[-1] - 40) < 1e-3
+        return super().doubtful() or abs(self.to_goal()[-1] - self.radius) < 1e-3
 
     def fly(self, action):
         self.before = self.to_goal()[-1]
@@ -308,8 +310,7 @@ class ToGoal(Episode):
 
     def judge(self, turn, distance):
         hit, away = self.clearance <= PAPER.drone, self.to_goal()[-1]
+        there = away <= self.radius
         if self.variant != "goal" or hit:
-            return hit or away <= 40, reward(turn, distance, hit, "eq14" if hit else self.variant)
-        return away <= 40, 10.0 * (away <= 40) + 0.01 * (self.before - away) - 0.01 * (
-            turn != 0 or distance == 0
-        )
+            return hit or there, reward(turn, distance, hit, "eq14" if hit else self.variant)
+        return there, 10.0 * there + 0.01 * (self.before - away) - 0.01 * (turn != 0 or distance == 0)

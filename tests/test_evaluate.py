@@ -94,17 +94,13 @@ def test_a_trained_policy_evaluated_twice_gives_the_same_20_rows(trained, greedy
     assert same == greedy  # only sampling asks the generator
 
 
-def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(run, tmp_path):
+def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(run):
     before, state = contents(run.path), torch.get_rng_state()
     evaluate_run(run, episodes=5, max_steps=50)
     assert torch.equal(torch.get_rng_state(), state)
     after = contents(run.path)
     assert {name: after.pop(name) for name in before} == before
     assert sorted(after) == ["behaviour-test-5-50.parquet", "evaluation-test-5-50.parquet"]
-    train, config = RUNS[run.algorithm]
-    again = train(config, out=tmp_path / "again", quiet=True)
-    assert (again.path / "policy.safetensors").read_bytes() == before["policy.safetensors"]
-    assert again.episodes.equals(run.episodes)
 
 
 @pytest.mark.parametrize("limit", [1, 27, 28])

@@ -3,9 +3,10 @@
 import os
 
 import pytest
+from runs_by_hand import write_policies
 
-from uavnav import ppo
 from uavnav.evaluation import evaluate_run
+from uavnav.runs import Run
 from uavnav.tasks.faults import Faults
 from uavnav.training import machine
 
@@ -14,9 +15,7 @@ FILES = ("evaluation-test-12-300.parquet", "behaviour-test-12-300.parquet")
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    how = {"total_frames": 64, "n_envs": 4, "frames_per_batch": 64, "minibatch_size": 64, "epochs": 1}
-    config = ppo.PPOConfig(seed=4, n_seeds=3, compile="off", **how)
-    return ppo.train(config, out=tmp_path_factory.mktemp("halves") / "run", quiet=True)
+    return Run(write_policies(tmp_path_factory.mktemp("halves") / "run", seed=4))
 
 
 @pytest.fixture

@@ -28,7 +28,11 @@ from uavnav.tasks.table import TASKS
 pytestmark = pytest.mark.usefixtures("warm_module")
 
 ROOT = Path(uavnav.__file__).parent.parent
-RUN = "runs/reinforce/hardswish"
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+TRAIN, *OTHERS = (
+    line.split()[1:] for line in re.search(r"```bash\n(.*?)```", PAGE, re.DOTALL)[1].splitlines()
+)
+RUN = "runs/mine"
 PARTS = {"activation": "hardswish", "reward": "roomy", "task": "narrow"}
 SHORT = {
     "n_seeds": 2,
@@ -38,27 +42,27 @@ SHORT = {
     "hidden": [8],
     "compile": "off",
 }
-WORDS = [f"{key}={value}".replace(" ", "") for key, value in (PARTS | SHORT).items()]
+WORDS = [f"{key}={value}".replace(" ", "") for key, value in SHORT.items()]
 
 
-def python(folder, *words):
-    """A process in a folder: what it printed; it must end well and complain of nothing."""
+def python(folder, *words, err=""):
+    """A process in a folder: what it printed; it must end well and complain of nothing else."""
     command = [sys.executable, *map(str, words)]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert (result.returncode, result.stderr) == (0, ""), result.stderr
+    assert (result.returncode, result.stderr) == (0, err), result.stderr
     return result.stdout
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Holds my_study.py of the docs, and the run of its algorithm that `uavnav train` made of it."""
+    """Holds my_study.py of the docs, and the run that the first command there made of it."""
     folder = tmp_path_factory.mktemp("plugins")
-    text = (ROOT / "docs" / "extending.md").read_text()
-    (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', text, re.DOTALL)
+    (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', PAGE, re.DOTALL)
     (folder / "my_study.py").write_text(code)
-    words = ["reinforce", "plugins=my_study", *WORDS, "evaluate=false", f"out={RUN}"]
-    said = python(folder, "-m", "uavnav", "train", *words)
+    said = python(folder, "-m", "uavnav", *TRAIN, *WORDS, "evaluate=false")
     assert "reinforce hardswish, preset paper: 2 seeds (0 to 1), 1,024 frames each" in said
+    assert f"\ncompare it:   uavnav compare {RUN} reactive --plugins my_study\n" in said
+    assert said.endswith(" plugins=my_study\n")
     return folder
 
 
@@ -86,14 +90,18 @@ def test_a_run_notes_its_plugins_by_name_and_hash_and_the_world_of_its_task(fold
 
 
 TOGETHER_AND_ALONE = """
+import pytest
 import uavnav
 from uavnav.training.loop import train
+from uavnav.training.recorder import Interrupted
 
 uavnav.plugins.load("my_study")
 import my_study
 how = dict(n_seeds=2, n_envs=16, total_frames=1024, frames_per_batch=512, hidden=[8], compile="off",
     activation="hardswish", reward="roomy", task="narrow")
 for name, config in ("ppo", uavnav.ppo.PPOConfig(epochs=1, **how)), ("reinforce", my_study.Config(**how)):
+    with pytest.raises(Interrupted):
+        train(config, out=f"spread/{name}-1", quiet=True, until=512)
     for n in (1, 2):
         run = train(config, out=f"spread/{name}-{n}", quiet=True, processes=n)
         assert run.meta.get("processes", 1) == n, run.meta
@@ -102,6 +110,7 @@ for name, config in ("ppo", uavnav.ppo.PPOConfig(epochs=1, **how)), ("reinforce"
 
 @pytest.mark.slow
 def test_in_the_processes_of_workers_a_plugins_parts_and_algorithm_give_what_one_process_gives(folder):
+    """And what is stopped there goes on as if it had not been."""
     python(folder, "-c", TOGETHER_AND_ALONE)
     for name in ("ppo", "reinforce"):
         alone, together = (Run(folder / "spread" / f"{name}-{n}") for n in (1, 2))
@@ -118,19 +127,10 @@ def test_in_the_processes_of_workers_a_plugins_parts_and_algorithm_give_what_one
 @pytest.mark.compiled
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: one process")
 def test_a_run_with_a_plugin_trains_compiled_in_two_processes(folder):
-    words = [word for word in WORDS if not word.startswith("compile=")]
-    words += ["plugins=my_study", "compile=on", "evaluate=false", "out=compiled"]
-    python(folder, "-m", "uavnav", "train", "ppo", *words)
+    words = [*WORDS, "compile=on", "evaluate=false", "out=compiled"]
+    python(folder, "-m", "uavnav", "train", "ppo", *TRAIN[2:], *words)
     meta = Run(folder / "compiled").meta
     assert (meta["compiled"], meta["processes"], list(meta["plugins"])) == (True, 2, ["my_study"])
-
-
-def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monkeypatch):
-    monkeypatch.setitem(uavnav.networks.ACTIVATIONS, "cubed", lambda x: x**3)
-    config = ppo.PPOConfig(activation="cubed", **SHORT)
-    with pytest.raises(ConfigError, match="processes=2: activation=cubed is known only to this process"):
-        ppo.train(config, out=tmp_path / "run", quiet=True, processes=2)
-    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
@@ -194,23 +194,36 @@ def test_the_help_of_each_command_has_the_flag(command, capsys):
     assert "--plugins NAME,..." in capsys.readouterr().out
 
 
-def test_with_the_flag_each_command_works(folder, run, tmp_path):
-    shutil.copy(folder / "my_study.py", tmp_path)
-    own = shutil.copytree(run.path, tmp_path / "own")
-    said = python(
-        tmp_path, "-m", "uavnav", "evaluate", own, "--episodes", 3, "--max-steps", 20, "--plugins", "my_study"
-    )
+FEWER = {"evaluate": ["--episodes", "3", "--max-steps", "20"], "render": ["--steps", "5"]}
+UNDRAWN = """
+from uavnav.__main__ import main
+from uavnav.report import figures
+
+figures.draw = lambda *anything: []
+"""
+NO_REPLAYS = f"uavnav report: left out: {RUN}: a page has no replays of task=narrow; uavnav render "
+NO_REPLAYS += "makes a film of it\n"
+
+
+def test_the_commands_of_the_docs_and_an_export_run_with_the_flag(folder, tmp_path):
+    there = shutil.copytree(folder, tmp_path / "there")
+    export = ["export", RUN, "--out", "policy.pt2", "--plugins", "my_study"]
+    commands = [[*words, *FEWER.get(words[0], [])] for words in (*OTHERS, export)]
+    lines = [f"assert main({words}) == 0, {words}" for words in commands]
+    said = python(there, "-c", "\n".join([UNDRAWN, *lines]), err=NO_REPLAYS)
     assert "reinforce hardswish on 3 test layouts" in said
-    assert len(Run(own).evaluation()) == 2 * 2 * 3
-    lines = ["from uavnav.__main__ import main"]
-    for name in ("verify", "render", "export"):
-        words = [str(own) if word == "RUN" else word for word in COMMANDS[name]]
-        lines.append(f"assert main({[name, *words, '--plugins', 'my_study']}) == 0")
-    said = python(tmp_path, "-c", "\n".join(lines))
-    assert "own: the same, bit for bit: " in said
-    assert "own, sampled: " in said
-    assert (tmp_path / "episode.png").is_file()
+    assert len(Run(there / RUN).evaluation()) == 2 * 2 * 3
+    assert f"{RUN}: the same, bit for bit: " in said
+    assert (there / "episode.gif").is_file()
     assert "policy.pt2: observation [N, 30] -> values [N, 100]" in said
+    assert "REINFORCE" in (there / "runs" / "report.md").read_text().upper()
+
+
+def test_the_help_of_training_has_a_plugins_settings_and_activation(folder):
+    told = python(folder, "-m", "uavnav", *TRAIN[:3], "--help")
+    assert told.startswith("usage: uavnav train reinforce ")
+    assert re.search(r"\n  activation=tanh .*, hardswish, ", told)
+    assert re.search(r"\n  frames_per_batch=512 +\[frames per seed\] collected in an iteration", told)
 
 
 def test_a_recipe_without_the_flag_refuses_a_plugins_names_like_any_other(folder, monkeypatch, capfd):
@@ -396,16 +409,7 @@ def test_a_policy_that_could_not_be_read_again_is_refused_before_training(
 def test_a_plugin_that_has_changed_since_is_told_of_also_by_the_command_that_finds_its_run_finished(folder):
     file = folder / "my_study.py"
     code = file.read_text()
-    words = [
-        "-m",
-        "uavnav",
-        "train",
-        "reinforce",
-        "+plugins=my_study",
-        *WORDS,
-        "evaluate=false",
-        f"out={RUN}",
-    ]
+    words = ["-m", "uavnav", *TRAIN[:2], f"+{TRAIN[2]}", *TRAIN[3:], *WORDS, "evaluate=false"]
     assert "this run is already finished" in python(folder, *words)
     try:
         file.write_text(f"{code}\n# another line\n")
@@ -414,7 +418,7 @@ def test_a_plugin_that_has_changed_since_is_told_of_also_by_the_command_that_fin
         )
     finally:
         file.write_text(code)
-    assert "hardswish: my_study is not what it was when this was trained\n" in again.stderr
+    assert f"uavnav train: {RUN}: my_study is not what it was when this was trained\n" in again.stderr
     assert "this run is already finished" in again.stdout
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import space_by_hand as by_hand
 import torch
+from policies_by_hand import untrained
 
 from uavnav import evaluation, load_policy
-from uavnav.algorithms import a2c, c51, dqn, ppo, sac
+from uavnav.algorithms import a2c, c51, dqn, sac
 from uavnav.envs import drawing
 from uavnav.evaluation.repeats import pose_of
 from uavnav.tasks import baselines, space
@@ -37,12 +38,8 @@ def test_a_pose_that_comes_again_has_the_same_place_yaw_and_pitch():
     assert probes.poses(task).shape == (512, 40)
 
 
-def test_an_episode_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown(tmp_path):
-    config = ppo.PPOConfig(
-        task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1
-    )
-    run = ppo.train(config, out=tmp_path / "run", quiet=True)
-    greedy = load_policy(run.path, greedy=True)
+def test_an_episode_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown():
+    greedy = untrained(task=make_task(task="space"), sizes=(40, 8, 100))
     task = evaluation.on(greedy.task, "test", 10, 2000)
     assert evaluation._repeatable(greedy, task)
     counted = evaluation.fly({0: greedy}, task).episodes

@@ -25,9 +25,8 @@ from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
 from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.training.checkpoints import Checkpoints
-from uavnav.views import browser, replays
+from uavnav.views import replays
 
-TITLES = browser.TITLES | browser.IN_3D
 YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
@@ -226,7 +225,7 @@ def _group(
         figures.append(sized(name, "runs", words, draw, learned, {}, looks=looks, scripted=earned))
     how = compare.flown(ordered) if flown else "no test episodes yet"
     return Group(
-        TITLES.get(task, task).capitalize(),
+        replays.TITLES.get(task, task).capitalize(),
         how,
         ordered,
         scripted,

@@ -14,13 +14,12 @@ from torchrl.objectives import DistributionalDQNLoss
 from uavnav import load_policy
 from uavnav.__main__ import main
 from uavnav.algorithms.c51 import C51Config, project, train
-from uavnav.algorithms.dqn import DQNConfig, make_network
+from uavnav.algorithms.dqn import make_network
 from uavnav.errors import ConfigError
 from uavnav.evaluation.agents import Agents
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import PolicyError
 from uavnav.tasks.rewards import BOUNDS, REWARDS
-from uavnav.training.loop import make_collector, make_env
 
 SMALL = {"hidden": (8,), "n_atoms": 7, "activation": "relu"}
 
@@ -272,33 +271,6 @@ def test_a_dueling_distribution_is_read_by_policies_agents_and_files(run, tmp_pa
     archive = torch.export.load(export_policy(policies[1], tmp_path / "policy.pt2")).module()
     torch.testing.assert_close(archive(observation), policies[1].values(observation), rtol=1e-4, atol=1e-4)
     assert {*run.progress.columns} >= {"dormant", "saturated", "effective_rank", "q_value"}
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-@pytest.mark.parametrize("kind", [C51Config, DQNConfig])
-def test_compiled_updates_of_a_dueling_network_from_several_steps_are_eager_ones(kind):
-    """Double, three steps, time limits of five: what each row says of its steps reaches the graph."""
-    small = {
-        "n_seeds": 2,
-        "n_envs": 8,
-        "total_frames": 256,
-        "learning_starts": 64,
-        "hidden": (16,),
-        "lr": 1e-3,
-    }
-    config = kind(**small, n_steps=3, max_steps=5, double=True, dueling=True, target_update_frames=64)
-    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
-    eager, compiled = (config.make(compile=compile) for compile in (False, True))
-    for frames, batch in zip(range(8, 257, 8), flown, strict=False):
-        eager.learn(batch.clone(), frames)
-        compiled.learn(batch, frames)
-    first = config.make(compile=False).network
-    for one, other, before in zip(
-        *(net.parameters() for net in (eager.network, compiled.network, first)), strict=True
-    ):
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
-        assert (one - before).abs().max() > 1e-3
 
 
 def test_a_head_whose_numbers_do_not_fit_the_weights_is_one_line(run, tmp_path):

@@ -4,8 +4,6 @@ censoring.
 
 import functools
 import itertools
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -65,8 +63,8 @@ def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_
 @pytest.mark.parametrize("n", [2, 5, 10])
 def test_the_interval_of_the_mean_of_few_normal_seeds_covers_it_in_about_95_percent_of_1000_draws(n):
     rng = np.random.default_rng(n)
-    rows = stats.intervals(rng.normal(7.0, 2.0, size=(1000, n)), [np.mean, stats.interquartile_mean])
-    assert 0.93 <= np.mean([mean.low <= 7.0 <= mean.high for mean, _ in rows]) <= 0.97
+    rows = stats.intervals(rng.normal(7.0, 2.0, size=(1000, n)), [np.mean])
+    assert 0.93 <= np.mean([mean.low <= 7.0 <= mean.high for (mean,) in rows]) <= 0.97
     known = ttest_1samp([1.0, 2.0, 6.0], 0).confidence_interval()
     assert stats.interval([1.0, 2.0, 6.0]) == pytest.approx((3.0, known.low, known.high, 3))
 
@@ -441,9 +439,3 @@ def test_numbers_taken_together_are_one_more_seed_as_hotelling_has_it():
     assert np.mean(np.array(again) < 0.05) == pytest.approx(0.05, abs=0.025)
     assert stats.joint(six, six.mean(0))[1] == 0
     assert stats.joint(six, six.mean(0) + 1e3) == (pytest.approx(0, abs=1e-9), 1)
-
-
-def test_the_statistics_are_importable_alone():
-    code = "import sys, uavnav.stats; print({'torch', 'uavnav.report', 'uavnav.runs'} & {*sys.modules})"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert shown.stdout == "set()\n"

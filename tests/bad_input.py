@@ -5,6 +5,7 @@ One table of cases: how each spoils a part of a good folder, what is called then
 Other tests spoil their files in the same ways.
 """
 
+import functools
 import itertools
 import json
 import math
@@ -27,7 +28,7 @@ import torch
 from filelock import FileLock
 from policies_by_hand import write_zip
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import load, save, save_file
 
 import uavnav
 from uavnav import ConfigError, LayoutError, PolicyError, RunError, evaluation
@@ -36,8 +37,10 @@ from uavnav.evaluation import verify as verification
 from uavnav.runs import POLICY, Run
 from uavnav.runs.policies import Diverged
 from uavnav.tasks import layouts
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.space import SpaceWorld
-from uavnav.training import provenance
+from uavnav.tasks.table import make_task
+from uavnav.training import checkpoints, provenance
 from uavnav.training.recorder import Interrupted, OtherRun
 from uavnav.views import render as rendering
 
@@ -90,11 +93,17 @@ YAML_BOMB = "a: &a [x, x]\n" + "".join(
 """Some hundred bytes for 2 * 9^11 words."""
 
 
-def unfolding(path):
+@functools.cache
+def much_in_little():
     """A table of 10^7 rows in each of 50 columns, in some kilobytes."""
-    nulls = pa.nulls(10**7)
-    pq.write_table(pa.table({f"column {index}": nulls for index in range(50)}), path)
-    assert path.stat().st_size < 2**20
+    nulls, content = pa.nulls(10**7), pa.BufferOutputStream()
+    pq.write_table(pa.table({f"column {index}": nulls for index in range(50)}), content)
+    assert content.tell() < 2**20
+    return content.getvalue().to_pybytes()
+
+
+def unfolding(path):
+    put(path, much_in_little())
 
 
 def columns(**content):
@@ -294,11 +303,31 @@ def status(word):
 def snapshots(spoil):
     def each(path):
         found = sorted(path.glob("state-*"))
-        assert found
+        assert len(found) == 2
         for state in found:
             spoil(state)
 
     return each
+
+
+def doctored(change):
+    """A state with other tensors or another header, under the name that belongs to its bytes."""
+
+    def spoil(path):
+        content = path.read_bytes()
+        found, header = load(content), json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        said = json.loads(header["__metadata__"]["uavnav"])
+        said = change(found, said) or said
+        content = save(found, {"uavnav": said if isinstance(said, str) else json.dumps(said)})
+        path.unlink()
+        stem = f"{path.name.rpartition('-')[0]}-{checkpoints._digest(content)}"
+        path.with_name(f"{stem}.safetensors").write_bytes(content)
+
+    return spoil
+
+
+def state_facts(**changes):
+    return lambda tensors, header: header | {"facts": header["facts"] | changes}
 
 
 # -- how a case is written -----------------------------------------------------------------------------------
@@ -343,8 +372,9 @@ def make_good(folder):
     evaluation.evaluate_run(run, episodes=2, max_steps=5)
     for path in run.path.glob("*-test-2-5.parquet"):  # stands for 200 layouts and 10,000 steps
         shutil.copy(path, path.with_name(f"{path.name.partition('-')[0]}.parquet"))
-    with pytest.raises(Interrupted):
-        dqn.train(dqn.DQNConfig(**DQN), out=folder / "half", quiet=True, until=128)
+    for until in (64, 128):  # two snapshots
+        with pytest.raises(Interrupted):
+            dqn.train(dqn.DQNConfig(**DQN), out=folder / "half", quiet=True, until=until)
     shutil.copy(run.path / POLICY, folder / "policy")
     write_zip(folder / "theirs.zip")
     (folder / "thesis").mkdir()
@@ -419,6 +449,12 @@ def gym_env(**options):
     return env
 
 
+def gym_envs():
+    envs = uavnav.gym.DroneVectorEnv(2)
+    envs.reset(seed=0)
+    return envs
+
+
 def all_layouts(name, spoil, wrong, right="make one with uavnav layouts", part="layouts"):
     check = "layouts --check {}/" + part
     return Case(
@@ -475,9 +511,9 @@ def half(name, spoil, wrong, right, error=RunError, **settings):
 def config(settings, right, wrong=None, algorithm="ppo"):
     kind = ALGORITHMS[algorithm].config
     [(key, value)] = settings.items()
-    if key == "world" and isinstance(value, dict):
+    if key in ("world", "faults") and isinstance(value, dict):
         [(field, value)] = value.items()
-        key = f"world.{field}"
+        key = f"{key}.{field}"
     command = f"{algorithm} {words({key: 'null' if value is None else value})}"
     build = lambda f: kind.from_mapping(settings)  # noqa: E731
     wrong = f"{key}={value}; " if wrong is None else wrong
@@ -498,6 +534,16 @@ def argument(name, call, wrong, right, command="", error=ValueError):
 def misused(name, call, wrong, right):
     """An argument that is a setting, wrong in the library alone."""
     return argument(name, call, wrong, right, error=ConfigError)
+
+
+def of_task(name, wrong, right, error=ConfigError, **parts):
+    """A part of a task, wrong in the library alone."""
+    return argument(name, lambda f: make_task(**parts), wrong, right, error=error)
+
+
+def sets(*row):
+    """A split of one set of one obstacle."""
+    return torch.tensor([[row]])
 
 
 GOOD_LAYOUTS, READABLE = "make one with uavnav layouts", "{}/layouts: not a readable layout file"
@@ -609,6 +655,12 @@ CASES = [
     layouts_for("a world that is none", lambda f: layouts.load("test", 3), "world=3", "give a World"),
     layouts_for("no tensor", lambda f: layouts.validate([1]), "[1]: is no tensor of layouts",
         "give a tensor"),
+    layouts_for("no tensor of goals", lambda f: uavnav.goal.validate([1]), "[1]: is no tensor of layouts",
+        "give a tensor"),
+    layouts_for("radii of 0", lambda f: uavnav.DroneEnv(layouts=torch.zeros(2, 8, 3)), "radius outside",
+        "30 ... 100 px"),
+    layouts_for("of less room than the world's", lambda f: make_task(world={"safe_zone": 90}),
+        "layouts='train': obstacle ", " is nearer than 90 px to the start"),
     layouts_for("a rung of 5,000 digits", lambda f: layouts.load(f"density-{'9' * 5000}/test"),
         "no such layout file", "give fewer digits", f"{RENDER} --layouts density-{'9' * 5000}/test"),
     layouts_for("a huge rung", lambda f: layouts.load("density-99999999/test"), "k=99999999",
@@ -803,8 +855,11 @@ CASES = [
     half("every snapshot cut", snapshots(cut(0.9)), "damaged, its checksum does not match", OVERWRITE),
     half("every snapshot flipped", snapshots(flipped(-4)), "damaged, its checksum does not match", OVERWRITE),
     half("every snapshot empty", snapshots(written(b"")), "damaged, its checksum does not match", OVERWRITE),
+    half("frames a word in every snapshot", snapshots(doctored(state_facts(frames="many"))),
+        "and there is no other", OVERWRITE),
     half("its replay gone", replay_gone, "missing or not readable", OVERWRITE),
-    half("of another version of torch", newer_torch, "saved with version of torch=", OVERWRITE),
+    half("of another version of torch", newer_torch,
+        f"saved with version of torch={torch.__version__}, not 9.9.9, and", OVERWRITE),
     half("another seed", nothing, "contains a run with seed=0, not 7", OVERWRITE, **OTHER, seed=7),
     half("another seed everywhere", reseeded, "saved with seed=0, not 7", OVERWRITE, seed=7),
     Case("half: read", "half", nothing, lambda f: Run(f / "half"), RunError,
@@ -929,16 +984,57 @@ CASES = [
         "a whole number from 1"),
     argument("seeds", lambda f: uavnav.DroneEnv([3], seeds=[1, 2]), "2 seeds for batch_size [3]",
         "one per agent"),
-    argument("a drone's action", lambda f: gym_env().step(100), "action=100", "from 0 to 99"),
-    argument("a drone's layout", lambda f: gym_env(layout=1000), "layout=1000", "from 0 to 999"),
+    argument("seeds without agents", lambda f: uavnav.DroneEnv(seeds=[1, 2]), "2 seeds for batch_size []",
+        "one per agent"),
+    *(argument(f"a drone's action {n}", lambda f, n=n: gym_env().step(n), f"action={n}", "from 0 to 99")
+        for n in (-1, 100, 2.7)),
+    *(argument(f"drones' actions {n}", lambda f, n=n: gym_envs().step(np.array(n)), "action=[",
+        "from 0 to 99 for each of the 2 rows") for n in ([5, -1], [5, 100], [1, 2, 3])),
+    *(argument(f"a drone's layout {n!r}", lambda f, n=n: gym_env(layout=n), "options layout=",
+        "from 0 to 999") for n in (-1, 1000, 2.5, "3", [1, 2])),
     argument("no drone", lambda f: uavnav.gym.DroneVectorEnv(0), "num_envs=0", "at least 1"),
     argument("a screen", lambda f: uavnav.gym.DroneGymEnv(render_mode="screen"), "'screen'",
         "choose None, human or rgb_array"),
+    argument("a screen of several", lambda f: uavnav.gym.DroneVectorEnv(render_mode="screen"), "'screen'",
+        "rgb_array"),
     argument("a picture's kind", lambda f: save_picture(f / "x.bmp"), "x.bmp", ".gif or .png",
         f"{RENDER} --out x.bmp"),
     argument("a picture's folder", lambda f: save_picture(f / "no/x.png"), "no/x.png",
         "a path that can be written", f"{RENDER} --out {{}}/no/x.png"),
     *(word(f"{VERIFY} --frames={n}", f"frames={n}; ", "give a number of at least 1") for n in (0, -5)),
+    # parts of a task, and what goes wrong in it
+    of_task("a key of a world", "key 'world.sensor_ark'", "did you mean world.sensor_arc? choose from 18",
+        world={"sensor_ark": 90}),
+    of_task("a speed", "speed_min=3", "give 0 to speed_max=2 px a step", task="moving",
+        world={"speed_min": 3.0}),
+    of_task("sensed velocities", "sense_velocity=1", "choose from false, true", task="moving",
+        world={"sense_velocity": 1}),
+    of_task("a key of a moving world", "no key 'world.speed'", "did you mean world.speed_min? choose from ",
+        task="moving", world={"speed": 1}),
+    of_task("a key of a space", "no key 'world.speed_max'", "did you mean world.obstacle_radius_max?",
+        task="space", world={"speed_max": 1.0}),
+    *(of_task(f"{task}'s layouts: {says}", says, "", LayoutError, task=task, layouts=split) for task,
+        split,
+        says in (("moving", layouts.generate(2, 3), "layouts have the shape [n > 0, k, 5], not [2, 3, 3]"),
+        ("moving", sets(-1.0, 0, 30, 0, 0), "obstacle 0 of layout 0 has its centre outside the window"),
+        ("moving", sets(0.0, 0, 30, 0, math.nan), "obstacle 0 of layout 0 is not finite"),
+        ("space", torch.ones(2, 3, 3), "layouts have the shape [n > 0, k, 4], not [2, 3, 3]"),
+        ("space", sets(400.0, 300, 340, 30), "obstacle 0 of layout 0 is nearer than 50 px to the start"),
+        ("space", sets(0.0, 0, 0, 29), "obstacle 0 of layout 0 has a radius outside 30 ... 100 px"),
+        ("space-moving", sets(0.0, 0, 601, 30, 0, 0, 0),
+        "obstacle 0 of layout 0 has its centre outside the box"))),
+    *(misused(f"faults {given}", lambda f, given=given: Faults(**given), wrong, right) for given, wrong,
+        right in (({"noise": -1}, "noise=-1; ", "a number of at least 0"),
+        ({"noise": math.inf}, "noise=inf; ", NUMBER), ({"lost": 1.5}, "lost=1.5; ", "at most 1"),
+        ({"late": 1.5}, "late=1.5; ", WHOLE), ({"late": 10**9}, "late=1000000000; ", "at most 1000"),
+        ({"sticky": True}, "sticky=True; ", NUMBER))),
+    config({"stack": 0}, "at least 1"),
+    config({"faults": {"nois": 5}}, "did you mean faults.noise? choose from ", "no key 'faults.nois'"),
+    config({"faults": {"noise": -1}}, "at least 0"),
+    config({"faults": {"lost": "half"}}, NUMBER),
+    config({"faults": {"late": 0.5}}, WHOLE),
+    config({"faults": "noise"}, "give fields of the faults, such as faults.noise=0.0"),
+    config({"noise": 5}, "did you mean faults.noise? choose from ", "there is no key 'noise'"),
     # words of other commands
     word("layouts --split trian", "argument --split: trian", "did you mean train? choose from all, test"),
     word("layouts --slpit train", "there is no argument --slpit", "did you mean --split?"),

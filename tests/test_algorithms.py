@@ -7,6 +7,7 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from pages import ALL, PAGES, code, table
 from PIL import Image
 from replaying import as_flown, few_sets, flown, recorded
 from runs_by_hand import same
@@ -357,3 +358,16 @@ def test_a_report_of_it_has_its_configuration(algorithm, run, tmp_path, request)
     page = (tmp_path / "report" / "report.md").read_text()
     assert algorithm in page.lower()
     assert activation in page
+
+
+def test_its_page_has_a_line_for_every_column_that_it_logs(algorithm, run):
+    _, logged = ALL["docs/algorithms.md"].split("\n## What every algorithm logs\n")
+    rows = [line.split(": ", 1) for line in logged.splitlines() if line.startswith("- ")]
+    rows += table(PAGES[algorithm], "| column | meaning |")
+    assert all(row[1] for row in rows)
+    names = [name for row in rows for name in code(row[0])]
+    if "entropy_coeff" in run.config:
+        names.remove("loss_entropy")  # of a bonus alone: see test_a2c and test_ppo_run
+    learned = tuple(name[:-1] for name in names if name.endswith("…"))  # by an activation
+    columns = [name for name in run.progress.columns if not name.startswith(learned)]
+    assert sorted(columns) == sorted(name for name in names if not name.endswith("…"))

@@ -27,6 +27,7 @@ from bad_input import (
     itself,
     large,
     make_good,
+    nothing,
     put,
     replaced,
     save_layouts,
@@ -45,19 +46,28 @@ from uavnav.runs import POLICY
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    return make_good(tmp_path_factory.mktemp("bad input") / "good")
+def good():
+    """Of a short path, so that no line is cut."""
+    with tempfile.TemporaryDirectory() as scratch:
+        yield make_good(Path(scratch) / "good")
 
 
 @pytest.fixture
 def folder(good, monkeypatch):
-    """A copy of the good folder to spoil, and the current directory; its path is short, so that no line
-    is cut.
-    """
+    """A copy of the good folder to spoil, and the current directory."""
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(shutil.copytree(good, Path(scratch) / "here"))
         monkeypatch.chdir(here)
         yield here
+
+
+@pytest.fixture
+def place(case, good, request, monkeypatch):
+    """The good folder itself for a case that spoils nothing: it stays just so."""
+    if case.spoil is not nothing:
+        return request.getfixturevalue("folder")
+    monkeypatch.chdir(good)
+    return good
 
 
 def test_each_case_has_a_name_of_its_own():
@@ -84,21 +94,22 @@ def spoilt(case, folder):
     assert after == before
 
 
+@pytest.mark.filterwarnings("error:.*going on from the one before")
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES if case.call])
-def test_in_the_library_it_is_one_line_of_a_typed_exception_and_nothing_changes(case, folder):
-    with spoilt(case, folder), pytest.raises(case.error) as refused:
-        case.call(folder)
+def test_in_the_library_it_is_one_line_of_a_typed_exception_and_nothing_changes(case, place):
+    with spoilt(case, place), pytest.raises(case.error) as refused:
+        case.call(place)
     assert type(refused.value) is case.error
-    said(case, folder, str(refused.value))
+    said(case, place, str(refused.value))
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES if case.command])
-def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, folder, capfd, monkeypatch):
+def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, place, capfd, monkeypatch):
     monkeypatch.setattr(render, "fly", None)  # nobody flies
-    program, *arguments = [word.replace("{}", str(folder)) for word in shlex.split(case.command)]
+    program, *arguments = [word.replace("{}", str(place)) for word in shlex.split(case.command)]
     if program not in commands.COMMANDS:
         program, arguments = "train", [program, *arguments]
-    with spoilt(case, folder):
+    with spoilt(case, place):
         try:
             status = main([program, *arguments])
         except SystemExit as stop:
@@ -108,7 +119,7 @@ def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, f
     assert printed == ""
     assert complained.startswith(f"uavnav {program}: ")
     assert complained.endswith("\n")
-    said(case, folder, complained[:-1])
+    said(case, place, complained[:-1])
 
 
 @pytest.mark.usefixtures("warm")
@@ -137,49 +148,35 @@ def test_as_a_process_it_is_one_line_too(folder, command, message):
     assert tree(folder) == before
 
 
-@pytest.fixture
-def three(folder):
-    """Three runs, of which the second is to be spoilt."""
-    for name, activation in (("a", "tanh"), ("b", "relu"), ("c", "elu")):
-        shutil.copytree(folder / "run", folder / "three" / name)
-        replaced("activation: tanh", f"activation: {activation}")(folder / "three" / name / "config.yaml")
-    return folder / "three"
+CONTENTS = [b"", bytes(3000), "[" * 100_000, "3", YAML_BOMB]
+OF_ANY = [a_folder, a_pipe, endless, large, itself, unfolding, *map(written, CONTENTS)]
+"""Eleven ways to damage any file."""
 
 
-OF_ANY = {
-    **{
-        "a folder": a_folder,
-        "a pipe": a_pipe,
-        "without end": endless,
-        "of 2^40 bytes": large,
-        "itself": itself,
-    },
-    **{"empty": written(b""), "zeros": written(bytes(3000)), "brackets": written("[" * 100_000)},
-    **{"a number": written("3"), "a bomb of aliases": written(YAML_BOMB), "unfolding": unfolding},
-}
-
-
-@pytest.mark.parametrize("how", OF_ANY)
 @pytest.mark.parametrize(
     "part", ["config.yaml", "meta.json", "episodes.parquet", "progress.parquet", "evaluation.parquet"]
 )
-def test_a_damaged_run_costs_one_line_and_the_others_are_told(three, part, how, capfd):
-    OF_ANY[how](three / "b" / part)
-    assert main(["runs", str(three), "--json"]) == 0
+def test_each_damaged_run_costs_one_line_and_the_others_are_told(folder, part, capfd):
+    """Between two good runs are those with each kind of damage."""
+    damaged = [f"b{number:02}" for number in range(len(OF_ANY))]
+    for name, activation in {"a": "tanh", **dict.fromkeys(damaged, "relu"), "c": "elu"}.items():
+        run = shutil.copytree(folder / "run", folder / "runs" / name)
+        replaced("activation: tanh", f"activation: {activation}")(run / "config.yaml")
+    paths = [folder / "runs" / name / part for name in damaged]
+    for path, spoil in zip(paths, OF_ANY, strict=True):
+        spoil(path)
+    assert main(["runs", str(folder / "runs"), "--json"]) == 0
     told, complained = capfd.readouterr()
     read = part in ("config.yaml", "meta.json")
-    assert [Path(row["run"]).name for row in json.loads(told)] == (["a", "c"] if read else ["a", "b", "c"])
-    lines = complained.splitlines()
-    assert len(lines) == read
-    assert all(
-        line.startswith(f"uavnav runs: left out: {three / 'b' / part}: ") and len(line) <= 300
-        for line in lines
-    )
-    configurations, left_out = collect([three])
+    assert [Path(row["run"]).name for row in json.loads(told)] == ["a", *damaged[read * 11 :], "c"]
+    for path, line in zip(paths[: read * 11], complained.splitlines(), strict=True):
+        assert line.startswith(f"uavnav runs: left out: {path}: ")
+        assert len(line) <= 300
+    configurations, left_out = collect([folder / "runs"])
     assert [configuration.activation for configuration in configurations] == ["tanh", "elu"]
-    (line,) = left_out
-    assert line.startswith(f"{three / 'b' / part}: ")
-    assert len(line) <= 270
+    for path, line in zip(paths, left_out, strict=True):
+        assert line.startswith(f"{path}: ")
+        assert len(line) <= 270
 
 
 # -- a full disk ---------------------------------------------------------------------------------------------
@@ -204,14 +201,21 @@ def full(name, forever):
     assert out_of_space
 
 
+def train(folder):
+    return dqn.train(dqn.DQNConfig(**DQN), folder, quiet=True, checkpoint_seconds=0)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run whose disk is never full."""
+    return train(tmp_path_factory.mktemp("whole") / "run")
+
+
 @pytest.mark.parametrize("forever", [False, True])
 @pytest.mark.parametrize("name", ["config.yaml", "meta.json", "state-", "replay-", *runs.FILES[2:]])
 def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_space(
-    tmp_path, name, forever
+    tmp_path, whole, name, forever
 ):
-    def train(folder):
-        return dqn.train(dqn.DQNConfig(**DQN), folder, quiet=True, checkpoint_seconds=0)
-
     with full(name, forever), pytest.raises(RunError) as refused:
         train(tmp_path / "run")
     message = str(refused.value)
@@ -221,7 +225,7 @@ def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_
     left = {str(path.relative_to(tmp_path / "run")) for path in tmp_path.glob("run/**/*") if path.is_file()}
     assert {path for path in left if not path.startswith("checkpoint/")} <= set(runs.FILES)
     assert not any(path.startswith("checkpoint/.") for path in left)
-    again, whole = train(tmp_path / "run"), train(tmp_path / "whole")
+    again = train(tmp_path / "run")
     for part in ("episodes.parquet", POLICY):
         assert (again.path / part).read_bytes() == (whole.path / part).read_bytes()
 

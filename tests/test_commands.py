@@ -7,8 +7,6 @@ import importlib
 import re
 import shlex
 import signal
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -29,7 +27,6 @@ from uavnav.training.recorder import Interrupted
 
 PACKAGE = Path(uavnav.__file__).parent
 PAGE = ALL["docs/commands.md"]
-HEAVY = {"torch", "pandas", "matplotlib", "pydantic", "rich", "pygame", "PIL", "pyarrow"}
 
 
 def told(words, capsys):
@@ -110,35 +107,6 @@ def test_a_command_after_uavnav_runs_with_the_words_after_it(capsys):
 
 
 # -- help ----------------------------------------------------------------------------------------------------
-
-HELPS = [
-    [],
-    ["--version"],
-    ["train"],
-    ["evalute"],
-    ["verify"],
-    *([name, "--help"] for name in commands.COMMANDS),
-    *(["train", name, "--help"] for name in ALGORITHMS),
-    ["train", "ppo", "--activation", "relu"],
-]
-IMPORTED = f"""
-import sys
-from uavnav.__main__ import main
-for words in {HELPS}:
-    try:
-        main(words)
-    except SystemExit:
-        pass
-    print("imported", sorted({HEAVY} & set(sys.modules)), words)
-"""
-
-
-def test_no_help_and_no_mistake_in_the_words_of_a_command_imports_torch_or_any_of_seven_others(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", IMPORTED], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    lines = [line for line in done.stdout.splitlines() if line.startswith("imported ")]
-    assert lines == [f"imported [] {words}" for words in HELPS]
 
 
 @pytest.mark.parametrize("name", sorted({*commands.COMMANDS} - {"train"}))

@@ -4,8 +4,6 @@ import functools
 import json
 import re
 import shutil
-import subprocess
-import sys
 
 import pandas as pd
 import pytest
@@ -146,22 +144,6 @@ def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_pape
     assert [one["task"] for one in flown] == ["drone", "moving"]
     assert apart([run, kept]) == ""
     assert "sensor_arc" not in run.place
-
-
-def test_committed_runs_are_compared_without_torch():
-    code = (
-        "import sys; from uavnav.__main__ import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
-    )
-    words = [
-        sys.executable,
-        "-c",
-        code,
-        "compare",
-        "results/algorithms/fast/ppo/tanh",
-        "results/algorithms/fast/ppo/sigmoid",
-        "reactive",
-    ]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
 
 
 def test_a_scripts_rows_beside_a_run_are_the_kept_ones_or_those_that_it_flies():

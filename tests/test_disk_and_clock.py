@@ -172,9 +172,14 @@ COMMANDS = {
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
-    "command", [name if name != "study" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
+    ("command", "trouble"),
+    [
+        *((name, "full") for name in COMMANDS if name != "study"),
+        pytest.param("study", "full", marks=pytest.mark.slow),
+        ("train", "read-only"),
+        ("report", "read-only"),
+    ],
 )
-@pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_command_on_such_a_disk_is_one_line_and_leaves_nothing_half_written(
     trouble, command, disk, whole, capfd
 ):

@@ -312,35 +312,6 @@ def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_f
     assert totals["distance"] / n == pytest.approx(4.5, abs=4 * math.sqrt(8.25 / n))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "says"),
-    [
-        (
-            {"reward": "eq41"},
-            ValueError,
-            "reward='eq41'; did you mean eq14? choose from additive, eq14, goal, initial",
-        ),
-        ({"max_steps": 0}, ValueError, "max_steps=0; choose None or a whole number from 1"),
-        (
-            {"batch_size": [3, 2], "seeds": [1, 2]},
-            ValueError,
-            "2 seeds for batch_size [3, 2]; give one, or one per agent",
-        ),
-        ({"seeds": [1, 2]}, ValueError, "2 seeds for batch_size []"),
-        (
-            {"layouts": "trian"},
-            uavnav.LayoutError,
-            "layouts='trian': no such layout file (did you mean train?); choose from train, validation, test",
-        ),
-        ({"layouts": torch.zeros(2, 8, 3)}, uavnav.LayoutError, "radius outside 30 ... 100 px"),
-    ],
-)
-def test_each_of_6_bad_arguments_is_refused_with_the_choices(arguments, error, says):
-    with pytest.raises(error) as refused:
-        uavnav.DroneEnv(**arguments)
-    assert says in str(refused.value)
-
-
 @pytest.mark.parametrize("action", [-1, 100])
 def test_step_refuses_an_action_outside_0_to_99(action):
     env = uavnav.DroneEnv([2])

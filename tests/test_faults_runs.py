@@ -14,7 +14,7 @@ from runs_by_hand import write_policies
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from uavnav import ConfigError, evaluation, load_policy
+from uavnav import evaluation, load_policy
 from uavnav.algorithms import dqn, ppo
 from uavnav.cli import commands
 from uavnav.evaluation import episodes, evaluate_policy, evaluate_run, on
@@ -217,23 +217,6 @@ def test_probes_show_a_pose_as_if_an_episode_began_there_and_without_faults():
 
 
 # -- configurations, older files -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        ({"stack": 0}, "stack=0; give a number of at least 1"),
-        ({"faults": {"nois": 5}}, "there is no key 'faults.nois'; did you mean faults.noise. choose from "),
-        ({"faults": {"noise": -1}}, "faults.noise=-1; give a number of at least 0"),
-        ({"faults": {"lost": "half"}}, "faults.lost=half; give a number"),
-        ({"faults": {"late": 0.5}}, "faults.late=0.5; give a whole number"),
-        ({"faults": "noise"}, "faults=noise; give fields of the faults, such as faults.noise=0.0"),
-        ({"noise": 5}, "there is no key 'noise'; did you mean faults.noise. choose from "),
-    ],
-)
-def test_a_wrong_setting_is_one_line_that_names_it(settings, says):
-    with pytest.raises(ConfigError, match=says):
-        ppo.PPOConfig.from_mapping(settings)
 
 
 def test_settings_from_plain_keys_are_kept_and_named_where_they_differ_from_the_preset():

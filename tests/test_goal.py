@@ -153,11 +153,6 @@ def test_each_wrong_split_is_refused_in_one_line(all_layouts, says):
 # -- the task ------------------------------------------------------------------------------------------------
 
 
-def test_layouts_that_are_no_tensor_are_refused_in_one_line():
-    with pytest.raises(uavnav.LayoutError, match="is no tensor of layouts; give a tensor"):
-        uavnav.goal.validate([1])
-
-
 @pytest.mark.parametrize("drawn", oracle.SWITCHES)
 def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(all_layouts, drawn):
     n, generator = 5000, torch.Generator().manual_seed(6)

@@ -80,15 +80,16 @@ def test_a_run_that_was_resumed_ends_with_the_curve_of_one_that_was_not(processe
         assert run.meta["lately"][name] == pytest.approx(values, abs=1e-3)
 
 
-def test_a_run_that_is_stopped_twice_between_two_rows_of_progress_keeps_its_curve(tmp_path):
-    config = DQNConfig(n_envs=8, total_frames=12_000, learning_starts=12_000, hidden=(8,), compile="off")
+def test_a_run_that_is_stopped_twice_between_two_rows_of_progress_keeps_its_curve(tmp_path, monkeypatch):
+    monkeypatch.setattr("uavnav.algorithms.replay.LOG_FRAMES", 500)
+    config = DQNConfig(n_envs=4, total_frames=1_200, learning_starts=1_200, hidden=(8,), compile="off")
     whole = uavnav.dqn.train(config, tmp_path / "whole", quiet=True)
-    for until in (6_000, 6_400):  # there is a row every 5,000 frames
+    for until in (600, 640):
         with pytest.raises(Interrupted):
             uavnav.dqn.train(config, tmp_path / "run", until=until, quiet=True)
     run = uavnav.dqn.train(config, tmp_path / "run", quiet=True)
     curve, expected = run.meta["lately"]["curve"], whole.meta["lately"]["curve"]
-    assert curve[:5] == pytest.approx(expected[:5], abs=1e-3)  # parts of 1,000 frames
+    assert curve[:5] == pytest.approx(expected[:5], abs=1e-3)  # parts of 100 frames
     assert len({*curve}) > 2
 
 

@@ -262,9 +262,10 @@ def test_a_run_begun_anew_takes_the_old_logs_away(logged, tmp_path):
     assert not {path.name for path in run.path.iterdir()} & set(BOTH)
 
 
-def test_dqn_logs_its_losses_from_where_they_begin(tmp_path):
+def test_dqn_logs_its_losses_from_where_they_begin(tmp_path, monkeypatch):
+    monkeypatch.setattr("uavnav.algorithms.replay.LOG_FRAMES", 500)
     config = dqn.DQNConfig(
-        n_envs=64, total_frames=15_000, learning_starts=6_000, frames_per_update=64, hidden=[8], compile="off"
+        n_envs=64, total_frames=1_500, learning_starts=600, frames_per_update=64, hidden=[8], compile="off"
     )
     run = dqn.train(config, tmp_path / "run", quiet=True, logger="tensorboard")
     assert_logged(run, scalars)
@@ -327,18 +328,6 @@ def test_a_logger_that_is_not_installed_names_what_to_install(monkeypatch, tmp_p
     with pytest.raises(ConfigError, match=r"^logger=wandb: .*; pip install 'wandb'$"):
         train(tmp_path / "run", logger="wandb")
     assert not list(tmp_path.iterdir())
-
-
-def test_training_without_a_logger_imports_neither(tmp_path):
-    code = (
-        "import sys; from uavnav.algorithms.ppo import PPOConfig, train;"
-        "train(PPOConfig(total_frames=64, frames_per_batch=64, compile='off'), 'run', quiet=True);"
-        "print([name for name in ('wandb', 'tensorboard') if name in sys.modules])"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert result.stdout == "[]\n"
 
 
 def test_the_recipe_takes_several_and_ends_with_the_commands_that_show_them(tmp_path):

@@ -18,7 +18,7 @@ import uavnav
 from uavnav import evaluation
 from uavnav.cli import commands
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
-from uavnav.tasks import circles, layouts, moving
+from uavnav.tasks import layouts, moving
 from uavnav.tasks.baselines import BASELINES, dodge, suited
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.table import make_task
@@ -183,29 +183,6 @@ def test_files_of_moving_obstacles_say_how_they_were_drawn_and_fly_in_their_worl
     layouts.save(layouts.generate(3), circles_alone, seed=0, split="own")
     with pytest.raises(uavnav.LayoutError, match=r"a layout file of task=drone, not of task=moving"):
         make_task(circles_alone, task="moving")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"world": {"speed_min": 3.0}}, "speed_min=3; give 0 to speed_max=2 px a step"),
-        ({"world": {"sense_velocity": 1}}, "sense_velocity=1; choose from false, true"),
-        (
-            {"world": {"speed": 1}},
-            "there is no key 'world.speed'; did you mean world.speed_min? choose from ",
-        ),
-        ({"layouts": circles.generate(2, 3)}, "layouts have the shape [n > 0, k, 5], not [2, 3, 3]"),
-        (
-            {"layouts": torch.tensor([[[-1.0, 0, 30, 0, 0]]])},
-            "obstacle 0 of layout 0 has its centre outside the window",
-        ),
-        ({"layouts": torch.tensor([[[0.0, 0, 30, 0, torch.nan]]])}, "obstacle 0 of layout 0 is not finite"),
-    ],
-)
-def test_each_wrong_part_is_refused_in_one_line(arguments, says):
-    with pytest.raises(ValueError, match=re.escape(says)) as refused:
-        make_task(**{"layouts": "test", **arguments}, task="moving")
-    assert "\n" not in str(refused.value)
 
 
 # -- the shells ----------------------------------------------------------------------------------------------

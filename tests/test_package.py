@@ -1,6 +1,7 @@
 """`import uavnav` is cheap, and every name that it promises is there."""
 
 import ast
+import json
 import re
 import subprocess
 import sys
@@ -10,15 +11,10 @@ from pathlib import Path
 import pytest
 
 import uavnav
+from uavnav.algorithms import ALGORITHMS
+from uavnav.cli.commands import COMMANDS
 
-
-def test_import_loads_no_torch_and_registers_the_gymnasium_environment():
-    code = (
-        "import sys, uavnav, gymnasium; print('torch' in sys.modules, 'uavnav/Drone-v0' in "
-        "gymnasium.registry)"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.split() == ["False", "True"]
+PACKAGE = Path(uavnav.__file__).parent
 
 
 @pytest.mark.parametrize("name", sorted({*uavnav.__all__, *uavnav.HOMES, *uavnav._MODULES}))
@@ -37,14 +33,96 @@ def test_two_dozen_names_are_shown_at_the_top_and_a_type_checker_knows_each():
     assert {alias.name for line in known.body for alias in line.names} == {*uavnav.__all__}
 
 
-def test_a_name_that_is_not_there_is_answered_with_those_that_are():
-    with pytest.raises(AttributeError, match=r"no attribute 'DroneEnvironment' \(did you mean .*DroneEnv"):
-        uavnav.DroneEnvironment  # noqa: B018
+# -- what is loaded ------------------------------------------------------------------------------------------
+
+HELPS = [
+    [],
+    ["--version"],
+    ["train"],
+    ["evalute"],
+    ["verify"],
+    *([name, "--help"] for name in COMMANDS),
+    *(["train", name, "--help"] for name in ALGORITHMS),
+    ["train", "ppo", "--activation", "relu"],
+]
+RUNS = ["results/algorithms/fast/ppo/tanh", "results/algorithms/fast/ppo/sigmoid", "reactive"]
+FLIGHTLESS = [
+    "configurations",
+    "claims",
+    "verdicts",
+    "studies",
+    "frames",
+    "tables",
+    "quotes",
+    "charts",
+    "arena",
+    "worlds",
+]
+WHOLE = ["report.content", "report.behaviour", "views.replays", "report.page", "report.docs"]
+HEAVY = {"torch", "pandas", "matplotlib", "pydantic", "rich", "pygame", "PIL", "pyarrow"}
+PEERS = ["stable_baselines3", "sbx", "jax"]
+TRAIN = {f"uavnav.training.{name}" for name in ("loop", "update", "recorder", "workers")}
+TRAIN |= {"uavnav.algorithms.ppo", "uavnav.algorithms.dqn", "uavnav.envs.env", "torchrl", *PEERS}
+STEPS = {
+    "the package and its environment": (
+        "import gymnasium, uavnav; assert 'uavnav/Drone-v0' in gymnasium.registry",
+        HEAVY,
+    ),
+    "help and mistakes in the words of a command": (
+        f"""
+from contextlib import suppress
+from uavnav.__main__ import main
+for words in {HELPS}:
+    with suppress(SystemExit):
+        main(words)""",
+        HEAVY,
+    ),
+    "statistics": ("import uavnav.stats", {"torch", "uavnav.report", "uavnav.runs"}),
+    "what of a report does not fly": (
+        f"import {', '.join(f'uavnav.report.{name}' for name in FLIGHTLESS)}",
+        {"torch"},
+    ),
+    "committed runs compared": (f"assert main(['compare', *{RUNS}]) == 0", {"torch"}),
+    "all of a report": (f"import {', '.join(f'uavnav.{name}' for name in WHOLE)}", TRAIN),
+    "benchmarks where no peer is installed": (
+        f"""
+sys.modules.update(dict.fromkeys({PEERS}))
+from uavnav.cli.bench import BY_DEFAULT, plan
+assert len(plan(BY_DEFAULT, True)) > 15""",
+        set(),
+    ),
+    "a training without a logger": (
+        """
+from uavnav.algorithms.ppo import PPOConfig, train
+config = PPOConfig(total_frames=64, frames_per_batch=64, compile="off")
+train(config, pathlib.Path(sys.argv[1], "run"), quiet=True)""",
+        {"wandb", "tensorboard"},
+    ),
+}
+"""One after the other in one process: what to run, and what is not there even then."""
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """The modules that are there after each step."""
+    folder = tmp_path_factory.mktemp("loaded")
+    lines = [f"{code}\nloaded.append([*sys.modules])" for code, _ in STEPS.values()]
+    save = "pathlib.Path(sys.argv[1], 'loaded.json').write_text(json.dumps(loaded))"
+    program = "\n".join(["import json, pathlib, sys", "loaded = []", *lines, save])
+    words = [sys.executable, "-c", program, folder]
+    subprocess.run(words, cwd=PACKAGE.parent, stdout=subprocess.DEVNULL, check=True)
+    found = dict(zip(STEPS, json.loads((folder / "loaded.json").read_text()), strict=True))
+    assert "torch" in found["all of a report"]  # else nobody would tell
+    return found
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_what_is_light_loads_nothing_heavy(loaded, step):
+    assert not STEPS[step][1] & {*loaded[step]}
 
 
 # -- the house -----------------------------------------------------------------------------------------------
 
-PACKAGE = Path(uavnav.__file__).parent
 MODULES = {
     ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
     for path in PACKAGE.rglob("*.py")

@@ -76,29 +76,6 @@ def test_the_table_of_names_in_sb3_has_the_defaults_of_both(algorithm):
         assert ast.literal_eval(code(defaults[-1])[0]) == theirs[code(there)[0]].default, there
 
 
-SHORT = {
-    "ppo": {"n_envs": 2, "frames_per_batch": 64, "total_frames": 64, "entropy_coeff": 0.01},
-    "a2c": {"n_envs": 2, "total_frames": 64, "entropy_coeff": 0.01},
-    "dqn": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
-    "sac": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
-    "c51": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
-    "pqn": {"n_envs": 4, "total_frames": 128, "frames_per_batch": 64},
-}
-
-
-@pytest.mark.parametrize("algorithm", CONFIGS)
-def test_every_logged_column_has_its_line(algorithm, tmp_path):
-    config = CONFIGS[algorithm].from_mapping(SHORT[algorithm])
-    run = getattr(uavnav, algorithm).train(config, out=tmp_path / "run", quiet=True)
-    _, logged = ALL["docs/algorithms.md"].split("\n## What every algorithm logs\n")
-    shared = [line.split(": ", 1) for line in logged.splitlines() if line.startswith("- ")]
-    rows = shared + table(PAGES[algorithm], "| column | meaning |")
-    names = [name for row in rows for name in code(row[0])]
-    always = sorted(name for name in names if not name.endswith("…"))  # else of activations that learn
-    assert always == sorted(run.progress.columns)
-    assert all(row[1] for row in rows)
-
-
 def test_the_tables_of_the_start_are_the_runs_files_and_the_episodes_columns():
     page = PAGES["start"]
     files = [code(row[0])[0] for row in table(page, "| file | contains |")]

@@ -3,9 +3,6 @@ report.md says.
 """
 
 import functools
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -333,32 +330,6 @@ def test_a_run_without_a_finished_episode_is_missing_in_every_reading_but_per_fr
 def test_tables_of_nothing_still_hold_the_papers_4_rows():
     assert len(table([], "ppo")) == 1 + 3 * 4
     assert len(paper.TABLES) == 8
-
-
-NO_TORCH = ["configurations", "claims", "verdicts", "studies", "frames"]
-NO_TORCH += ["tables", "quotes", "charts", "arena", "worlds"]
-ALL_OF_IT = ["report.content", "report.behaviour", "views.replays", "report.page", "report.docs"]
-
-
-def test_it_imports_nothing_that_trains_and_what_does_not_fly_loads_no_torch():
-    one, all_ = (
-        f"import sys, {', '.join(f'uavnav.{name}' for name in names)}; print(*sys.modules)"
-        for names in ([f"report.{name}" for name in NO_TORCH], ALL_OF_IT)
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", f"{one}\n{all_}"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[1],
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )
-    flightless, everything = ({*line.split()} for line in run.stdout.splitlines())
-    assert "torch" not in flightless
-    assert "torch" in everything
-    training = {f"uavnav.training.{name}" for name in ("loop", "update", "recorder", "workers")}
-    training |= {"uavnav.algorithms.ppo", "uavnav.algorithms.dqn", "uavnav.envs.env", "torchrl"}
-    assert training & everything == set()
 
 
 def test_runs_that_leave_out_what_a_metric_counts_are_read_beside_those_that_have_it(results, monkeypatch):

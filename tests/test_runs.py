@@ -49,6 +49,10 @@ def trained(request, tmp_path_factory):
     return train, config, train(config, out=tmp_path_factory.mktemp(request.param) / "run", quiet=True)
 
 
+of_one = pytest.mark.parametrize("trained", ["ppo"], indirect=True)
+"""Of tests of what is the same for all algorithms."""
+
+
 def test_two_processes_write_one_file_at_once_and_each_time_it_is_whole(tmp_path):
     contents = [bytes([n]) * 100_000 for n in range(2)]
     fork = multiprocessing.get_context("fork")
@@ -135,6 +139,7 @@ def test_a_finished_run_is_returned_at_once_and_untouched(trained):
     assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == times
 
 
+@of_one
 def test_a_finished_run_whose_policy_was_left_out_is_trained_again_to_the_same_bits(trained, tmp_path):
     train, config, run = trained
     folder = shutil.copytree(run.path, tmp_path / "run")
@@ -205,6 +210,7 @@ def test_another_configuration_is_refused_and_nothing_is_lost(trained):
     assert json.loads((run.path / "meta.json").read_text())["status"] == "finished"
 
 
+@of_one
 def test_overwrite_starts_anew(trained, tmp_path):
     train, config, run = trained
     other = type(config)(**vars(config) | {"seed": 9})
@@ -214,8 +220,10 @@ def test_overwrite_starts_anew(trained, tmp_path):
     for name in ("across-density-5-20.svg", "transfer-5-20-abc123.png", "notes.svg"):
         (tmp_path / "run" / name).touch()
     (tmp_path / "run" / STOP).touch()  # that the finished run never saw
+    (tmp_path / "run" / "checkpoint").mkdir()
+    (tmp_path / "run" / "checkpoint" / "state-1-0.safetensors").touch()  # a damaged one
     again = train(config, out=tmp_path / "run", overwrite=True, quiet=True)
-    assert not (tmp_path / "run" / STOP).exists()
+    assert not {STOP, "checkpoint"} & {path.name for path in again.path.iterdir()}
     assert again.fresh
     same(again.path, run.path)
     assert {path.name for path in again.path.glob("*.parquet")} == {"episodes.parquet", "progress.parquet"}

@@ -2,7 +2,6 @@
 
 import functools
 import math
-import re
 
 import numpy as np
 import oracle
@@ -287,35 +286,3 @@ def test_files_of_spheres_are_what_their_seed_generates_and_fly_in_their_world_a
         uavnav.LayoutError, match=f"a layout file of task={name}, not of task=drone; give one of those"
     ):
         make_task(path)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (
-            {"world": {"depth": 280}},
-            "depth=280; give above 280 px, or two opposite walls are in reach at once",
-        ),
-        (
-            {"world": {"speed_max": 1.0}},
-            "there is no key 'world.speed_max'; did you mean world.obstacle_radius_max? ",
-        ),
-        ({"layouts": torch.ones(2, 3, 3)}, "layouts have the shape [n > 0, k, 4], not [2, 3, 3]"),
-        (
-            {"layouts": torch.tensor([[[400.0, 300, 340, 30]]])},
-            "obstacle 0 of layout 0 is nearer than 50 px to the start",
-        ),
-        (
-            {"layouts": torch.tensor([[[0.0, 0, 0, 29]]])},
-            "obstacle 0 of layout 0 has a radius outside 30 ... 100 px",
-        ),
-        (
-            {"layouts": torch.tensor([[[0.0, 0, 601, 30, 0, 0, 0]]]), "task": "space-moving"},
-            "obstacle 0 of layout 0 has its centre outside the box",
-        ),
-    ],
-)
-def test_each_wrong_part_is_refused_in_one_line(arguments, says):
-    with pytest.raises(ValueError, match=re.escape(says)) as refused:
-        make_task(**{"layouts": "test", "task": "space", **arguments})
-    assert "\n" not in str(refused.value)

@@ -4,8 +4,6 @@ censoring.
 
 import functools
 import itertools
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -441,9 +439,3 @@ def test_numbers_taken_together_are_one_more_seed_as_hotelling_has_it():
     assert np.mean(np.array(again) < 0.05) == pytest.approx(0.05, abs=0.025)
     assert stats.joint(six, six.mean(0))[1] == 0
     assert stats.joint(six, six.mean(0) + 1e3) == (pytest.approx(0, abs=1e-9), 1)
-
-
-def test_the_statistics_are_importable_alone():
-    code = "import sys, uavnav.stats; print({'torch', 'uavnav.report', 'uavnav.runs'} & {*sys.modules})"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert shown.stdout == "set()\n"

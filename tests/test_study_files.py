@@ -240,8 +240,8 @@ def test_the_study_files_of_the_package_hold_three_configurations_or_more_and_no
     assert len({configuration.out for configuration in found}) == len(found) >= 3
 
 
-def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
-    """But for the path of a layout file, which the study makes."""
+def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings_and_facts_and_trains_again():
+    """But for the path of a layout file, which the study makes. Facts: what goes beyond its preset."""
     results = ROOT / "results"
     named = [studies.read(name) for name in studies.names()]
     configurations = {
@@ -256,11 +256,15 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
     drawing = draws.plan(studies.read("ambiguities"), results)
     configurations |= {one.out: one for one in drawing.screened() + drawing.nearest()}
     found, _ = run_folders(results)
-    assert {*found} <= {*configurations}
+    assert len(found) == len([*results.rglob("config.yaml")]) == 374
     for path in found:
         config = configurations[path].config
-        there = config.as_run(read_settings(path / "config.yaml")) | {"layouts": config.layouts}
-        assert there == plain(config), path
+        there = config.as_run(read_settings(path / "config.yaml"))
+        assert there | {"layouts": config.layouts} == plain(config), path
+        beyond = type(config).from_mapping(there).beyond_preset()
+        told = read_settings(path / "meta.json")["beyond_preset"]
+        told, beyond = ({key.removeprefix("world."): one[key] for key in one} for one in (told, beyond))
+        assert told == beyond, path
 
 
 @pytest.mark.parametrize(

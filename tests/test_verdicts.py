@@ -273,16 +273,6 @@ def test_an_effect_that_is_not_there_is_decided_in_at_most_5_percent_of_studies(
     assert (judged.verdicts == "absent").mean() <= 0.06
 
 
-def test_the_negative_control_an_interval_of_percentiles_of_five_seeds_misses_more_than_twice_as_often():
-    rng = np.random.default_rng(0)
-    seeds = rng.normal(size=(400, 5))
-    drawn = seeds[np.arange(400)[:, None, None], rng.integers(5, size=(400, 500, 5))].mean(-1)
-    low, high = np.quantile(drawn, [0.025, 0.975], axis=1)
-    assert np.mean((low <= 0) & (high >= 0)) < 0.88
-    found = stats.welch([seeds], np.ones((1, 1)))
-    assert np.mean((found.lower(0.025) <= 0) & (found.upper(0.025) >= 0)) == pytest.approx(0.95, abs=0.025)
-
-
 # -- grades --------------------------------------------------------------------------------------------------
 
 
@@ -399,27 +389,13 @@ def test_a_study_of_equal_configurations_replicates_nothing_and_a_mirrored_one_r
 # -- operating characteristics -------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def shares():
-    """Of claims with eight seeds that scatter by 2 % of each mean."""
-    return (
-        characteristics(scattered(PRINTED, 0.02), of_paper)
-        .set_index(["claim", "truth", "grade"])["share"]
-        .sort_index()
-    )
-
-
-def test_if_the_papers_tables_were_the_truth_its_claims_are_mostly_graded_as_replicated(shares):
-    for claim in (1, 2, 3, 5, 6, 7, 8):
-        assert shares[claim, TABLES, "replicates"] > 0.75, claim
-        assert shares[claim, TABLES, "does not"] < 0.01, claim
-
-
-def test_if_nothing_differed_at_most_5_percent_of_claims_would_be_graded_as_replicated(shares):
-    for claim in (1, 2, 3, 5, 6, 7, 8):
-        assert shares[claim, EQUAL, "replicates"] <= 0.05, claim
-        assert sum(shares[claim, EQUAL]) == pytest.approx(1)
-    assert shares[1, EQUAL, "does not"] > 0.9
+def test_seeds_that_scatter_by_2_percent_show_claim_5_if_it_is_true_and_not_if_nothing_differs():
+    """The other claims with the scatter of our seeds: see test_results."""
+    table = characteristics(scattered(PRINTED, 0.02), of_paper, CLAIMS[4:5])
+    shares = table.set_index(["truth", "grade"])["share"]
+    assert shares[TABLES, "replicates"] > 0.75
+    assert shares[TABLES, "does not"] < 0.01
+    assert shares[EQUAL, "replicates"] <= 0.05
 
 
 def test_claims_without_printed_numbers_have_the_second_truth_alone_and_context_has_none():

@@ -16,6 +16,7 @@ from uavnav.algorithms import dqn, ppo
 from uavnav.cli import commands
 from uavnav.evaluation import verify
 from uavnav.runs import POLICY, Run
+from uavnav.training import loop
 from uavnav.training.recorder import Recorder
 
 verify_command = functools.partial(commands.run, "verify")
@@ -55,7 +56,22 @@ def trained(request, runs):
 
 
 @pytest.fixture
-def run(runs, tmp_path):
+def known(runs, monkeypatch):
+    """The repeat of a whole run is a copy of it, as the first test here shows that it would be; others are
+    flown.
+    """
+    train, there = verify.train, {config: runs[name].path for name, (_, config) in ALGORITHMS.items()}
+
+    def repeat(config, out, **how):
+        if config in there and "until" not in how:
+            return Run(shutil.copytree(there[config], out))
+        return train(config, out=out, **how)
+
+    monkeypatch.setattr(verify, "train", repeat)
+
+
+@pytest.fixture
+def run(runs, known, tmp_path):
     """The folder of a copy of PPO's, to be doctored."""
     return shutil.copytree(runs["ppo"].path, tmp_path / "run")
 
@@ -138,6 +154,7 @@ def test_a_repeat_of_the_first_frames_compares_the_episodes_that_ended_by_then(
     assert status == 0
 
 
+@pytest.mark.usefixtures("known")
 @pytest.mark.parametrize("frames", ["1024", "5000"])
 def test_the_frames_of_the_whole_run_and_more_are_the_whole_run(trained, verdict, frames):
     status, lines = verdict(trained.path, "--frames", frames)
@@ -259,6 +276,7 @@ def test_where_a_run_parts_the_versions_and_plugins_that_differ_are_named_and_no
 
     edit(run / "meta.json", older)
     monkeypatch.setitem(verify.plugins.LOADED, "mine", "1" * 64)
+    monkeypatch.setattr(verify, "train", loop.train)  # whose facts are those of now
     assert verdict(run, *arguments)[0] == 0  # another version alone leaves the same run the same
     edit(run / "episodes.parquet", setting(0, "steps", lambda old: old + 1))
     status, (_, parted, version, plugin) = verdict(run, *arguments)

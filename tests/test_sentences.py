@@ -171,6 +171,12 @@ def test_a_line_of_markdown_has_its_links_on_a_page_and_nothing_else_of_it_is_ht
     line = "A [5 < 6](tables/a.csv#L2) & [b](c)."
     assert inline(line) == 'A <a href="#row-a-2">5 &lt; 6</a> &amp; <a href="c">b</a>.'
     assert plain(line) == "A 5 < 6 & b."
+    marked = "**so [b](c)**, `a*b`, *very*, leaky_relu_2"
+    assert inline(marked) == (
+        '<strong>so <a href="c">b</a></strong>, <code>a*b</code>, <em>very</em>, leaky_relu_2'
+    )
+    assert plain(marked) == "so b, a*b, very, leaky_relu_2"
+    assert inline("[a](javascript:b)") == "[a](javascript:b)"  # no address of a page
     assert listed("- a\n- b") == ["a", "b"]
     assert listed("") == []
 

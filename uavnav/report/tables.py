@@ -486,7 +486,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
 
 def rewards(numbers: Mapping[str, pd.DataFrame]) -> Rows:
     """Reward per episode of the paper's configurations: as printed, in training by SB3's log, and of final
-    policies on unseen layouts; then the scripted policy's. root: of links.
+    policies on unseen layouts; then the scripted policy's.
     """
     metrics, gaps = numbers["metrics"], numbers["gaps"]
     logged = metrics[(metrics["metric"] == "reward") & (metrics["definition"] == LOG_CURVE)]

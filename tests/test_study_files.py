@@ -256,7 +256,7 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings_and
     drawing = draws.plan(studies.read("ambiguities"), results)
     configurations |= {one.out: one for one in drawing.screened() + drawing.nearest()}
     found, _ = run_folders(results)
-    assert len(found) == len([*results.rglob("config.yaml")]) == 381
+    assert len(found) == len([*results.rglob("config.yaml")]) == 386
     for path in found:
         config = configurations[path].config
         there = config.as_run(read_settings(path / "config.yaml"))

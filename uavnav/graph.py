@@ -28,6 +28,7 @@ Function = Callable[..., Tensors]
 
 SETTINGS: dict[str, Any] = {
     "compile_threads": 1,  # these few kernels compile faster than a pool of processes starts
+    "cpp_wrapper_build_separate": True,  # what calls the kernels needs no -O3, which takes half the time
     "cpp.vec_isa_ok": True,  # else inductor starts ten processes to test what the first graph shows
     "unsafe_marked_cacheable_functions": {  # keep loops on disk too
         f"torch.ops.higher_order.{loop}": "1" for loop in ("while_loop", "scan")

@@ -21,7 +21,7 @@ def draw(algorithm: str) -> bytes:
     found = {name: read(RESULTS / study / algorithm / name) for name in paper.ACTIVATIONS}
     printed = {name: paper.printed(algorithm, name, "reward", per_frame=True) for name in found}
     known = {name: mean for name, mean in printed.items() if math.isfinite(mean)}
-    return style.save(curves(found, known, f"{algorithm.upper()}: ").figure)[1]
+    return style.png(curves(found, known, f"{algorithm.upper()}: ").figure)
 
 
 if __name__ == "__main__":

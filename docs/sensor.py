@@ -81,7 +81,7 @@ def main() -> None:
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
     scene(left, world, slots, found.distance[:n].tolist())
     table(right, slots)
-    (Path(__file__).parent / "sensor.png").write_bytes(style.save(figure)[1])
+    (Path(__file__).parent / "sensor.png").write_bytes(style.png(figure))
 
 
 if __name__ == "__main__":

@@ -293,6 +293,17 @@ def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_
     assert found["clearance"].tolist() == pytest.approx(distances, abs=1e-3)
 
 
+def test_of_the_modes_of_a_file_the_wanted_ones_are_read_as_with_the_others(tmp_path):
+    run = not_flown(tmp_path / "run")
+    greedy, sampled = table(actions=[FULL_SPEED] * 3), table(actions=[STOP, FULL_SPEED])
+    flown = pd.concat([greedy.assign(mode="greedy"), sampled.assign(mode="sampled")])
+    flown[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "behaviour.parquet")
+    both, one = read(run), read(run, modes=["sampled"])
+    assert both["mode"].value_counts().to_dict() == {"greedy": 3, "sampled": 2}
+    pd.testing.assert_frame_equal(one, both[both["mode"] == "sampled"])
+    assert measures(read(run, modes=[]), layouts.load("test"), WORLD).empty
+
+
 def test_a_file_from_before_poses_were_left_out_is_read_alike(tmp_path):
     run = not_flown(tmp_path / "run")
     table([(1, 2)]).to_parquet(run.path / "behaviour.parquet")  # whose poses are not looked at

@@ -99,8 +99,9 @@ NOTHING = {
 def test_a_figure_is_the_same_bytes_twice_and_8_inches_wide_and_changes_no_settings(name):
     before = dict(matplotlib.rcParams)
     drawn, again = EXAMPLES[name](), EXAMPLES[name]()
-    svg, png = style.save(drawn.figure)
-    assert (svg, png) == style.save(drawn.figure) == style.save(again.figure)
+    svg, png = drawn.svg, style.png(drawn.figure)
+    assert svg == style.svg(drawn.figure) == style.svg(again.figure)
+    assert png == style.png(drawn.figure) == style.png(EXAMPLES[name]().figure)  # without an SVG before
     assert int.from_bytes(png[16:20], "big") == 960  # at 120 dots an inch
     assert ElementTree.fromstring(svg).get("width") == "576pt"
     assert not any(word in svg + png for word in (b"Matplotlib", b"dc:date", b"Software"))
@@ -117,7 +118,7 @@ def scattered():
 @pytest.mark.parametrize("name", [*EXAMPLES, "scatter"])
 def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_point(name):
     figure = scattered() if name == "scatter" else EXAMPLES[name]().figure
-    full, short = (ElementTree.fromstring(text) for text in (style.drawing(figure), by_day(figure)))
+    full, short = (ElementTree.fromstring(text) for text in (style.svg(figure), by_day(figure)))
     words = [
         [text.strip() for one in tree.iter(f"{SVG}text") for text in one.itertext()] for tree in (full, short)
     ]
@@ -139,14 +140,14 @@ def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_p
 
 def by_day(figure):
     """What a page holds of a figure, with its colours by day put in."""
-    svg = unquote(style.embedded(figure))
+    svg = unquote(style.embedded(style.svg(figure)))
     for place, day in enumerate(style.NIGHT):
         svg = svg.replace(f"var(--{place})", day)
     return svg
 
 
 def test_every_colour_of_the_pilots_and_of_ink_is_another_by_night():
-    svg = unquote(style.embedded(EXAMPLES["survival"]().figure))
+    svg = unquote(style.embedded(EXAMPLES["survival"]().svg))
     shown = svg.partition("</style>")[2]
     assert re.findall(r"#[0-9a-f]{6}(?=[;'])", shown) == []
     assert f"prefers-color-scheme:dark){{svg{{--0:{style.NIGHT['#000000']};" in svg
@@ -170,7 +171,7 @@ def styles_of_marks(element, above=""):
 def test_a_figure_with_a_map_keeps_its_colours_and_any_other_has_256_and_white_ground():
     figure, axes = style.panel("a map")
     axes.imshow(np.arange(900).reshape(30, 30))
-    kept, few = (Image.open(io.BytesIO(style.save(one)[1])).convert("RGB") for one in (figure, scattered()))
+    kept, few = (Image.open(io.BytesIO(style.png(one))).convert("RGB") for one in (figure, scattered()))
     assert len(kept.getcolors(1 << 20)) > 256 >= len(few.getcolors(1 << 20))
     assert few.getpixel((0, 0)) == (255, 255, 255)
 
@@ -180,7 +181,7 @@ def test_a_figure_of_nothing_says_no_data(name):
     drawn = NOTHING[name]()
     assert drawn.alt.endswith("no data.")
     assert any("no data" in text for text in texts(drawn.figure))
-    assert style.save(drawn.figure)[1].startswith(b"\x89PNG")
+    assert style.png(drawn.figure).startswith(b"\x89PNG")
 
 
 def test_a_curve_is_the_mean_of_3_seeds_within_students_interval_and_the_papers_mean_is_dashed():
@@ -240,7 +241,7 @@ def test_one_seed_gives_a_line_and_no_band():
 def test_a_configuration_without_an_episode_is_said_beside_one_that_has_some():
     shown = drawn({"tanh": trained([]), "relu": trained([1.0])})
     assert "tanh no data; relu 1.00 (n = 1)" in shown.alt
-    style.save(shown.figure)
+    style.png(shown.figure)
 
 
 def test_two_configurations_of_one_activation_differ_in_their_lines_and_an_unknown_activation_has_a_colour():
@@ -248,6 +249,12 @@ def test_two_configurations_of_one_activation_differ_in_their_lines_and_an_unkno
     first, dashed, second, third = drawn(configurations).figure.axes[0].lines
     assert (first.get_linestyle(), dashed.get_linestyle(), second.get_linestyle()) == ("-", "--", ":")
     assert first.get_color() == second.get_color() != third.get_color()
+
+
+def test_five_activations_beyond_the_papers_have_five_looks_of_three_colours():
+    looks = style.of_activations(["elu", "gelu", "mish", "silu", "softplus", "tanh"])
+    assert len({*looks.values()}) == 6
+    assert len({colour for colour, _ in looks.values()}) == 4
 
 
 def test_an_interval_row_holds_the_mean_of_its_seeds_and_the_papers_value_as_a_diamond():
@@ -317,7 +324,7 @@ def test_episodes_that_all_stay_up_have_a_flat_line():
     drawn = charts.survival({"PPO tanh": shares}, limit=50)
     assert set(drawn.figure.axes[0].lines[0].get_ydata()) == {1.0}
     assert "half of them never, 100 % up at 50" in drawn.alt
-    style.save(drawn.figure)
+    style.png(drawn.figure)
 
 
 def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():

@@ -5,12 +5,14 @@ A configuration's label is `PPO tanh`, perhaps with settings in brackets. Letter
 
 from __future__ import annotations
 
+import functools
 import io
 import re
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 from urllib.parse import quote
 
 import matplotlib
@@ -30,7 +32,7 @@ COLOURS = {"tanh": "#0072B2", "sigmoid": "#D55E00", "relu": "#009E73", "leaky_re
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's, without the yellow."""
 LINES = ("-", ":", "-.")
-"""Lines of further configurations of an activation; dashes are the paper's."""
+"""Lines of a colour that comes again; dashes are the paper's."""
 INK, PALE, OBSTACLE = "#333333", "#767676", "#c8ccd2"
 CLEAR, OPEN = "#0072B2", "#D55E00"
 """Colours of what the seeds decide and of what they leave open."""
@@ -85,33 +87,42 @@ WIDTH, NARROW, FULL = 8.0, 5.0, 12.3
 """Of a figure on a page, on a phone, and as wide as a page [inches]; letters are as large on all."""
 
 
-class Drawn(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Drawn:
     """A figure and one sentence with its main numbers."""
 
     figure: Figure
     alt: str
 
-
-def save(figure: Figure) -> tuple[bytes, bytes]:
-    """SVG and PNG, the same bytes on every call; a PNG without a map has 256 colours."""
-    svg, drawn, png = drawing(figure), io.BytesIO(), io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(drawn, format="png", metadata={"Software": None})
-    if any(axes.images for axes in figure.axes):
-        return svg, drawn.getvalue()
-    Image.open(drawn).convert("RGB").quantize(dither=Image.Dither.NONE).save(png, "PNG", optimize=True)
-    return svg, png.getvalue()
+    @functools.cached_property
+    def svg(self) -> bytes:
+        """The figure as `svg` gives it."""
+        return svg(self.figure)
 
 
-def drawing(figure: Figure) -> bytes:
+def svg(figure: Figure) -> bytes:
     """SVG, the same bytes on every call."""
-    svg = io.BytesIO()
+    return _saved(figure, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type")))
+
+
+def png(figure: Figure) -> bytes:
+    """PNG, the same bytes on every call; one without a map has 256 colours."""
+    drawn, few = _saved(figure, "png", {"Software": None}), io.BytesIO()
+    if any(axes.images for axes in figure.axes):
+        return drawn
+    image = Image.open(io.BytesIO(drawn)).convert("RGB")
+    image.quantize(dither=Image.Dither.NONE).save(few, "PNG", optimize=True)
+    return few.getvalue()
+
+
+def _saved(figure: Figure, kind: str, metadata: Mapping[str, None]) -> bytes:
+    content = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine) and figure.axes:
             engine.execute(figure)
             figure.set_layout_engine(None)  # laid out once: a second time would move things by a hair
-        figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    return svg.getvalue()
+        figure.savefig(content, format=kind, metadata=metadata)
+    return content.getvalue()
 
 
 _PLACES, _NEEDLESS = re.compile(rb' (?:d|x|y)="[^"]*"'), re.compile(rb"(\.\d\d)\d+|(?<=[MLCQ]) ")
@@ -141,22 +152,22 @@ _SHORTER: dict[bytes, bytes | Callable[[re.Match[bytes]], bytes]] = {
 """What of matplotlib's SVG a page does without or writes shorter, in this order."""
 
 
-def embedded(figure: Figure) -> str:
-    """A drawing as an address in a page, by day and by night as the page is.
+def embedded(drawing: bytes) -> str:
+    """A drawing in SVG as an address in a page, by day and by night as the page is.
 
     Places are to a hundredth of a point, and nothing is in it that is not drawn.
     """
-    svg = _PLACES.sub(lambda found: _NEEDLESS.sub(rb"\1", found[0]), drawing(figure))
+    short = _PLACES.sub(lambda found: _NEEDLESS.sub(rb"\1", found[0]), drawing)
     for pattern, instead in _SHORTER.items():
-        svg = re.sub(pattern, instead, svg)
+        short = re.sub(pattern, instead, short)
     names = {day.encode(): f"var(--{place})".encode() for place, day in enumerate(NIGHT)}
-    svg = _COLOUR.sub(lambda found: names.get(found[0], found[0]), svg[svg.index(b"<svg") :])
+    short = _COLOUR.sub(lambda found: names.get(found[0], found[0]), short[short.index(b"<svg") :])
     day, night = (
         "".join(f"--{place}:{one};" for place, one in enumerate(of_time))
         for of_time in (NIGHT, NIGHT.values())
     )
     looks = f"<style>svg{{{day}fill:var(--0)}}@media(prefers-color-scheme:dark){{svg{{{night}}}}}"
-    return quote(svg.replace(b"<style>", looks.encode(), 1), safe="/:;=,'()!*+$@?")
+    return quote(short.replace(b"<style>", looks.encode(), 1), safe="/:;=,'()!*+$@?")
 
 
 def panel(title: str, width: float = WIDTH) -> tuple[Figure, Axes]:
@@ -237,22 +248,23 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.grid(visible=False, axis="y")
 
 
-def looks(activations: Iterable[str]) -> list[tuple[str, str]]:
-    """A colour an activation, and for each further configuration of it another line."""
-    named, drawn = list(activations), Counter[str]()
-    others = sorted({*named}.difference(COLOURS))
-    colours = COLOURS | {name: OTHER_COLOURS[place % len(OTHER_COLOURS)] for place, name in enumerate(others)}
-    result = []
-    for name in named:
-        result.append((colours[name], LINES[drawn[name] % len(LINES)]))
-        drawn[name] += 1
-    return result
+def of_activations(labels: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """A colour and a line for each label of a configuration, by its activation."""
+    named = {label: parts(label)[1] for label in labels}
+    others = sorted({*named.values()}.difference(COLOURS))
+    known = COLOURS | {name: OTHER_COLOURS[place % len(OTHER_COLOURS)] for place, name in enumerate(others)}
+    return _with_lines({label: known[activation] for label, activation in named.items()})
 
 
 def of_pilots(pilots: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """A colour and a line for each label, by who flies; a colour that comes again has another line."""
+    """A colour and a line for each label, by who flies."""
+    return _with_lines(dict(zip(pilots, colours.colours(pilots.values()), strict=True)))
+
+
+def _with_lines(colour_of: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Colours by label, each with a line; a colour that comes again has another line."""
     found, drawn = {}, Counter[str]()
-    for label, colour in zip(pilots, colours.colours(pilots.values()), strict=True):
+    for label, colour in colour_of.items():
         found[label] = colour, LINES[drawn[colour] % len(LINES)]
         drawn[colour] += 1
     return found
@@ -261,12 +273,6 @@ def of_pilots(pilots: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 def of_pilot(label: str) -> str:
     """The colour of an algorithm, by a label that begins with it, or of the scripted policy."""
     return SCRIPTED if label == SCRIPTED_NAME else PILOTS.get(label.split()[0].lower(), colours.OTHERS[0])
-
-
-def coloured(labels: Iterable[str]) -> list[tuple[str, tuple[str, str]]]:
-    """Labels of configurations, each with the colour and the line of its activation."""
-    named = list(labels)
-    return list(zip(named, looks(parts(label)[1] for label in named), strict=True))
 
 
 def parts(label: str) -> tuple[str, str]:

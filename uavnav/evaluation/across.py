@@ -309,6 +309,6 @@ def across(
 
 def save(drawn: style.Drawn, rows: Path) -> Path:
     """Write a figure as SVG and PNG under the name of a file of rows; returns the PNG's path."""
-    for suffix, content in zip((".svg", ".png"), style.save(drawn.figure), strict=True):
-        write(rows.with_suffix(suffix), content)
+    write(rows.with_suffix(".svg"), drawn.svg)
+    write(rows.with_suffix(".png"), style.png(drawn.figure))
     return rows.with_suffix(".png")

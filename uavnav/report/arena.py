@@ -44,7 +44,7 @@ def trajectories(
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04))
     panels = figure.subplots(len(layouts), len(one), squeeze=False)
     said = []
-    for column, (name, (colour, _)) in zip(panels.T, style.coloured(one), strict=True):
+    for column, (name, (colour, _)) in zip(panels.T, style.of_activations(one).items(), strict=True):
         rows, ends = one[name], []
         for axes, layout in zip(column, layouts, strict=True):
             _arena(axes, all_layouts[layout], world)

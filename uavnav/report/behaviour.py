@@ -8,6 +8,7 @@ together, T steps.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,10 @@ AGAIN = "evaluate the run again"
 ONLY = "only those of drones on test layouts are measured"
 
 
-def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
+def read(run: Run, in_arena: bool = False, modes: Sequence[str] = MODES) -> pd.DataFrame | None:
     """The watched steps of a run, or those in the empty arena, with their poses; None without such a file.
+
+    modes: those of `metrics.MODES` that are wanted.
 
     Raises:
         RunError: the file is damaged, or its episodes are not those of drones on test layouts.
@@ -67,7 +70,8 @@ def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
         raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
     task = task.replace(layouts=EMPTY_ARENA) if in_arena else task
     heading = torch.tensor(HEADINGS) if in_arena else episodes.headings(task, len(task.layouts))
-    return retrace(_actions(run, path, task), task.layouts, heading, task.world)
+    table = _actions(run, path, task)
+    return retrace(table[table["mode"].isin(modes)], task.layouts, heading, task.world)
 
 
 def _actions(run: Run, path: Path, task: WrappedTask) -> pd.DataFrame:

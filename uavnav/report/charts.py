@@ -54,7 +54,7 @@ def intervals(
     panels = figure.subplots(len(groups), 1, sharex=share, squeeze=False, height_ratios=heights)[:, 0]
     said = []
     for axes, (group, members) in zip(panels, groups.items(), strict=True):
-        for row, (name, (colour, _)) in enumerate(style.coloured(members)):
+        for row, (name, (colour, _)) in enumerate(style.of_activations(members).items()):
             seeds = rows[name]
             found = style.row_of_seeds(axes, row, seeds, colour)
             middle = stats.interquartile_mean(np.sort(seeds[np.isfinite(seeds)])) if found.n else np.nan
@@ -234,7 +234,7 @@ def curves(
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     colours, ends = {}, []
-    looks = looks or dict(style.coloured(configurations))
+    looks = looks or style.of_activations(configurations)
     for name, configuration in configurations.items():
         line, (colour, dashes) = band(configuration.curve), looks[name]
         legend = textwrap.fill(f"{name}, n = {configuration.n_seeds}", 50)
@@ -341,7 +341,7 @@ def survival(
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
     most, said = max(float(shares.index.max()) for shares in curves.values()), []
-    looks = looks or dict(style.coloured(curves))
+    looks = looks or style.of_activations(curves)
     for name, shares in curves.items():
         colour, dashes = looks[name]
         seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high

@@ -40,7 +40,7 @@ from uavnav.report.claims import (
     Evidence,
     asked,
 )
-from uavnav.report.configurations import Configuration, algorithms, collect, read_as
+from uavnav.report.configurations import MODE, Configuration, algorithms, collect, read_as
 from uavnav.report.operating import characteristics
 from uavnav.report.quotes import STUDY, prose
 from uavnav.report.studies import Rows, Studies
@@ -49,6 +49,7 @@ from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
 from uavnav.runs import VALUES, Run, paper
 from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, SAMPLED
+from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
@@ -232,7 +233,8 @@ def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, li
     """Measures of episodes by mode and seed, by mode and layout, the episodes, and lines for what was unread.
 
     Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the
-    empty arena: the measures there are `empty_...`, the `layout` is -1.
+    empty arena: the measures there are `empty_...`, the `layout` is -1. Of other studies no claim or question
+    asks for greedy episodes.
     """
     measured: Episodes = {}
     by_layout: Episodes = {}
@@ -241,8 +243,9 @@ def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, li
     world, all_layouts, by = World(), layouts.load("test"), ["mode", "seed"]
     in_arena = functools.partial(behaviour.read, in_arena=True)
     for study in (*WATCHED, *all_configurations.why):
+        read = functools.partial(behaviour.read, modes=MODES if study == "main" else [MODE])
         for key, configuration in studies.paper_configurations(all_configurations.of(study)).items():
-            if (table := _of_runs(configuration, behaviour.read, problems)) is None:
+            if (table := _of_runs(configuration, read, problems)) is None:
                 continue
             place, steps = (study, *key), behaviour.of_steps(table, all_layouts, world)
             tables[place], measured[place] = table, behaviour.of_seeds(steps)

@@ -115,16 +115,20 @@ def estimates(values: pd.DataFrame) -> Rows:
     """Mean and interquartile mean over seeds, with 95 % intervals, and the paper's number."""
     for key, part in values.groupby(["algorithm", "activation", "definition"], sort=False):
         algorithm, activation, definition = map(str, key)
-        seeds = dict(iter(part.groupby("metric", sort=False)["value"]))
-        found = _intervals(tuple(own.to_numpy(np.float64).tobytes() for own in seeds.values()))
-        for metric, (mean, middle) in zip(map(str, seeds), found, strict=True):
+        for metric, (mean, middle) in means(part.groupby("metric", sort=False)["value"]).items():
             printed = paper.printed(algorithm, activation, metric, definition == PER_FRAME)
             yield [*key, metric, mean.n, *mean[:3], *middle[:3], printed]
 
 
+def means(seeds: Iterable[tuple[Any, pd.Series[float]]]) -> dict[str, list[stats.Interval]]:
+    """Mean and interquartile mean over seeds, with 95 % intervals, by metric; seeds: [S] of each."""
+    rows = {str(metric): values.to_numpy(np.float64).tobytes() for metric, values in seeds}
+    return dict(zip(rows, _intervals(tuple(rows.values())), strict=True))
+
+
 @functools.lru_cache(maxsize=8192)
 def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
-    """Mean and interquartile mean of rows of float64 [S] as bytes; page and report.md ask twice."""
+    """What `means` gives, of rows of float64 [S] as bytes: page and report.md ask for the same."""
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 

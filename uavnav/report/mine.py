@@ -125,12 +125,12 @@ def unfinished(folders: Sequence[Path]) -> dict[Path, Begun]:
     for path in dict.fromkeys(path for folder in folders for path in run_folders(folder)[0]):
         try:
             meta = read_settings(path / "meta.json")
+            if meta.get("status") == FINISHED or meta.get("study"):
+                continue
             config = read_settings(path / "config.yaml")
         except RunError:
             continue
-        if not {"algorithm", "activation", "total_frames"} <= config.keys():
-            continue  # no run's, as `collect` says
-        if meta.get("status") != FINISHED and not meta.get("study"):
+        if {"algorithm", "activation", "total_frames"} <= config.keys():  # else no run's, as `collect` says
             found[path] = _begun(path, config, meta)
     return found
 
@@ -234,15 +234,17 @@ def _group(
     )
 
 
-def _kept(path: Path, damaged: list[str]) -> pd.DataFrame | None:
-    """The rows of a file, if there is one that can be read; what is wrong with it is added to `damaged`."""
-    if not path.exists():
-        return None
-    try:
-        return read_table(path, EVALUATED, "delete it")
-    except RunError as error:
-        damaged.append(str(error))
-        return None
+def _kept(folders: Sequence[Path], name: str, damaged: list[str]) -> pd.DataFrame | None:
+    """The rows of the first file of a name in the folders' `baselines` that can be read, if there is one;
+    what is wrong with others is added to `damaged`.
+    """
+    for path in (folder / "baselines" / name for folder in folders):
+        try:
+            if path.exists():
+                return read_table(path, EVALUATED, "delete it")
+        except RunError as error:
+            damaged.append(str(error))
+    return None
 
 
 def _scripted(first: Contender, run: Path, folders: Sequence[Path], damaged: list[str]) -> Contender | None:
@@ -252,9 +254,8 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path], damaged: lis
     name = Protocol(layouts, episodes, limit, None, task).file(REACTIVE)
     beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
     plain = not {"world", "reward", "faults"} & beyond
-    for folder in folders if plain else ():
-        if (rows := _kept(folder / "baselines" / name, damaged)) is not None:
-            return Contender(REACTIVE, rows, protocol, first.place, None, REACTIVE)
+    if plain and (rows := _kept(folders, name, damaged)) is not None:
+        return Contender(REACTIVE, rows, protocol, first.place, None, REACTIVE)
     try:
         flown = compare.fly(REACTIVE, protocol, None, str(run))
         if plain:
@@ -272,10 +273,8 @@ def _by_hand(first: Contender, folders: Sequence[Path], damaged: list[str]) -> l
     as_kept = {"layouts": "test", "max_steps": MAX_STEPS}
     if first.place["task"] != "drone" or not as_kept.items() <= first.protocol.items():
         return []
-    for folder in folders:
-        if (rows := _kept(folder / "baselines" / "human.parquet", damaged)) is not None:
-            return [Contender(YOU, rows, first.protocol, first.place, None, YOU)]
-    return []
+    rows = _kept(folders, "human.parquet", damaged)
+    return [] if rows is None else [Contender(YOU, rows, first.protocol, first.place, None, YOU)]
 
 
 def _ranking(

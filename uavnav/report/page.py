@@ -35,7 +35,7 @@ from uavnav.report.verdicts import SEEDS
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, SAMPLED
 from uavnav.runs.metrics import LAST
-from uavnav.style import SCRIPTED_NAME, save
+from uavnav.style import SCRIPTED_NAME, png
 from uavnav.tasks.world import World
 from uavnav.views.replays import paths, together
 
@@ -117,8 +117,7 @@ def contents(
         ends = {name: one["ended"] for name, one in firsts.items() if one["steps"] <= PREVIEWED}
         collided = {name for name, ended in ends.items() if ended == "collision"}
         title, obstacles = plain(content.said["headline"] or TITLE), np.array(episodes["layouts"][0])
-        drawn = arena.preview(title, drones, collided, obstacles, World())
-        found["preview.png"] = save(drawn)[1]
+        found["preview.png"] = png(arena.preview(title, drones, collided, obstacles, World()))
     found["report.html"] = page(content, pictures(shown), first, own, watched).encode()
     found["report.md"] = markdown(content).encode()
     return found

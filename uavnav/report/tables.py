@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import functools
 import json
 import math
 import string
@@ -16,8 +15,8 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import COMPARED, NAMES
-from uavnav.report.configurations import MODE, Configuration, episodes_of, show
-from uavnav.report.frames import NUMBERS, REACTIVE, estimates, name, per_seed_values
+from uavnav.report.configurations import MODE, Configuration, episodes_of, read_as, show
+from uavnav.report.frames import NUMBERS, REACTIVE, means, name
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
     BESIDE,
@@ -44,7 +43,6 @@ FLIPS = {"yes": " – flips", "sign": " – other sign", "no": "", "": ""}
 """How a table says what `frames.sensitivity` found."""
 MANY = 10_000
 """More seeds than these are as good as never."""
-MIDDLE = ["interquartile_mean", "iqm_low", "iqm_high"]
 
 
 def interval_of(column: str) -> list[str]:
@@ -422,21 +420,23 @@ def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -
         if not ours:
             rows.append([activation, "missing: no finished run", "0", NOTHING, NOTHING, *nothing])
         for label, configuration in ours:
-            found = estimates(per_seed_values({(algorithm, activation): configuration}))
             for definition in DEFINITIONS:
-                own = found[found["definition"] == definition]
-                if not (own["n"] > 0).any():
+                found = means(read_as(configuration, definition).items())
+                if not any(mean.n for mean, _ in found.values()):
                     rows.append([label, f"{definition}: missing", "0", "0", NOTHING, *nothing])
                     continue
                 part = _counts(episodes_of(configuration, definition))
-                for which, columns in ((definition, MEAN), (f"{definition}, interquartile mean", MIDDLE)):
-                    shown = functools.partial(_estimate, columns=columns)
-                    rows.append([label, which, *part, *_across(own, "metric", METRICS, shown)])
+                for place, which in enumerate((definition, f"{definition}, interquartile mean")):
+                    shown = [
+                        with_interval(*found[metric][place][:3], decimals(metric, definition))
+                        for metric in METRICS
+                    ]
+                    rows.append([label, which, *part, *shown])
     return rows
 
 
-def _estimate(one: Record, columns: Sequence[str] = MEAN) -> str:
-    return _interval(one, columns, decimals(one["metric"], one["definition"]))
+def _estimate(one: Record) -> str:
+    return _interval(one, MEAN, decimals(one["metric"], one["definition"]))
 
 
 def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:

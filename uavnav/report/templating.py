@@ -12,7 +12,6 @@ import jinja2
 import pandas as pd
 from markdown_it import MarkdownIt
 from markupsafe import Markup
-from matplotlib.figure import Figure as Drawing
 
 from uavnav import style
 from uavnav.report import tables
@@ -102,10 +101,10 @@ Source = tuple[str, int, int]
 """Of a picture in a page: its address, and its width and height [px]."""
 
 
-def source(figure: Drawing) -> Source:
+def source(drawn: style.Drawn) -> Source:
     """A figure as a page contains it."""
-    width, height = (round(96 * side) for side in figure.get_size_inches())
-    return Markup(style.embedded(figure)), width, height
+    width, height = (round(96 * side) for side in drawn.figure.get_size_inches())
+    return Markup(style.embedded(drawn.svg)), width, height
 
 
 class Figure(NamedTuple):
@@ -134,15 +133,15 @@ def sized(
 
 def pictures(figures: Iterable[Figure]) -> dict[str, list[Source]]:
     """Figures by their names, for a page and for a phone."""
-    return {one.name: [source(drawn.figure) for drawn in (one.drawn, one.narrow)] for one in figures}
+    return {one.name: [source(drawn) for drawn in (one.drawn, one.narrow)] for one in figures}
 
 
 def files_of(figures: Iterable[Figure]) -> dict[str, bytes]:
     """Figures as files."""
     found: dict[str, bytes] = {}
     for one in figures:
-        svg, png = style.save(one.drawn.figure)
-        found |= {f"figures/{one.name}.svg": svg, f"figures/{one.name}.png": png}
+        found[f"figures/{one.name}.svg"] = one.drawn.svg
+        found[f"figures/{one.name}.png"] = style.png(one.drawn.figure)
     return found
 
 

@@ -114,7 +114,7 @@ def _of_scripted(
     def flown_as(protocol: Protocol) -> dict[str, pd.DataFrame]:
         rows, unread = rows_of_scripted(folders, protocol)
         left_out.extend(unread)
-        return {who: measured(own, protocol.max_steps) for who, own in rows.items()}
+        return rows
 
     scripted: dict[tuple[str, str], pd.DataFrame] = {}
     rungs = {}
@@ -124,14 +124,16 @@ def _of_scripted(
                 f"{name}: no rows of scripted policies, which fly only with the usual settings of a task"
             )
             continue
-        scripted |= {(name, who): own for who, own in flown_as(protocol).items()}
+        rows = flown_as(protocol)
+        scripted |= {(name, who): measured(own, protocol.max_steps) for who, own in rows.items()}
     if (protocol := places.get("drone")) is not None:
         there = {
             metric for (task, _, _), table in seeds.items() if _place(task) == "drone" for metric in table
         }
         for rung in ((name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs):
             if at("reward", *rung) in there:
-                rungs[rung] = flown_as(protocol._replace(layouts=ladders.split_of(*rung)))
+                rows = flown_as(protocol._replace(layouts=ladders.split_of(*rung)))
+                rungs[rung] = {who: on_rung(own) for who, own in rows.items()}
     return scripted, rungs, left_out
 
 
@@ -166,8 +168,9 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
             flown = read_table(
                 path, {"seed": "int64", "rung": "float64", "mode": "object"}, "evaluate it again"
             )
+            flown = flown[flown["mode"] == MODE]
             for rung in ladder.rungs:
-                one = measured(flown[(flown["mode"] == MODE) & (flown["rung"] == rung)], limit)
+                one = on_rung(flown[flown["rung"] == rung])
                 table = table.join(one.set_axis([at(str(metric), name, rung) for metric in one], axis=1))
             if name == "density":
                 rewards = table[[at("reward", name, rung) for rung in ladder.rungs]]
@@ -179,15 +182,19 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
 
 def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
-    """The measures of some episodes, a row a seed; the goal counts as truncation."""
-    ended, steps = collided(flown), flown["steps"].to_numpy()
-    over = ended.to_numpy(np.float64)
+    """`on_rung`, and the restricted mean survival up to a limit; the goal counts as truncation."""
+    ended, steps = collided(flown).to_numpy(np.float64), flown["steps"].to_numpy()
     survival = {
-        seed: stats.restricted_mean(steps[own], over[own], limit)
+        seed: stats.restricted_mean(steps[own], ended[own], limit)
         for seed, own in flown.groupby("seed").indices.items()
     }
-    crashed = {CRASHED: ended.groupby(flown["seed"]).mean()}
-    return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival), **crashed)
+    return on_rung(flown).assign(survival=pd.Series(survival))
+
+
+def on_rung(flown: pd.DataFrame) -> pd.DataFrame:
+    """The measures of some episodes, a row a seed."""
+    crashed = {CRASHED: collided(flown).groupby(flown["seed"]).mean()}
+    return of_episodes(flown).drop(columns="survive").assign(**crashed)
 
 
 @dataclass(eq=False)
@@ -222,7 +229,8 @@ class Evidence:
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
         """A configuration's seeds in each task, with the default preset; nothing where it lacks a task."""
-        found = [self._seeds.get((task, algorithm, activation), pd.DataFrame()) for task in self._tasks]
+        none = pd.DataFrame()
+        found = [self._seeds.get((task, algorithm, activation), none) for task in self._tasks]
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:

@@ -19,7 +19,6 @@ from uavnav.colours import OTHERS, PILOTS
 from uavnav.report import arena, charts, figures
 from uavnav.report.configurations import BINS
 from uavnav.runs import paper
-from uavnav.runs.definitions import SAMPLED
 from uavnav.tasks.world import World
 
 FRAMES = 1000
@@ -380,8 +379,7 @@ def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
         ],
         columns=["who", "mode", "limit", "n", "reward", "low", "high"],
     )
-    seeds = pd.DataFrame({"algorithm": "ppo", "activation": ["tanh"] * 2, "value": [3.0, 5.0]})
-    figure = figures._first(seeds.assign(definition=SAMPLED, metric="reward"), gaps)
+    figure = figures._first({"PPO tanh": np.array([3.0, 5.0])}, gaps)
     assert figure.drawn.alt == "reward per test episode: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
     assert "after 10,000 steps" in figure.caption
 

@@ -15,10 +15,10 @@ from uavnav import stats
 from uavnav.report import frames, tables
 from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import read_as
-from uavnav.report.studies import of_paper
+from uavnav.report.studies import evidence_of, of_paper
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
-from uavnav.runs.definitions import ALL, DEFINITIONS, EVALUATIONS, PER_FRAME, TOTALS
+from uavnav.runs.definitions import ALL, DEFINITIONS, EVALUATIONS, LOG_CURVE, PER_FRAME, TOTALS
 from uavnav.tasks.protocol import MAX_STEPS
 
 SPREAD = (-1.0, 0.0, 1.0)
@@ -526,7 +526,12 @@ def test_a_configuration_that_rises_by_100_and_falls_by_75_loses_three_quarters_
         """By the log the first four lose 60 % of the rise, the last one loses 45 %."""
         return np.array([logged[metric]] * 4 + [6.0 if metric == "reward_after" else logged[metric]])
 
-    found = frames.peaks({KEY: in_stretches(*(seed * one for one in times))}, log).set_index("measure")
+    def peaks(one):
+        studies = NO_STUDIES._replace(main={KEY: one})
+        training = evidence_of(studies, PER_FRAME, {}, {}, {})
+        return frames.peaks(studies.main, {PER_FRAME: training, LOG_CURVE: log})
+
+    found = peaks(in_stretches(*(seed * one for one in times))).set_index("measure")
     assert found.loc["surge, SB3's log", "value"] == 15
     assert found.loc["lost, SB3's log", "value"] == pytest.approx((15 - 3.6) / 20)
     assert found.loc["seeds that lose half, SB3's log", ["value", "n"]].tolist() == [4, 5]
@@ -535,7 +540,7 @@ def test_a_configuration_that_rises_by_100_and_falls_by_75_loses_three_quarters_
     assert found.loc["lost", "low"] == pytest.approx(found.loc["lost", "high"])
     # the first of the stretches of 40,000 frames within
     assert found.loc["peak", "value"] == pytest.approx(540_000)
-    assert frames.peaks({KEY: in_stretches(seed, frames=600_000)}, log).empty
+    assert peaks(in_stretches(seed, frames=600_000)).empty
 
 
 def test_numbers_within_are_counted_for_all_configurations_and_for_and_those_without_seeds_are_left_out():

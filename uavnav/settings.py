@@ -10,7 +10,8 @@ same way:
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import itertools
+from collections.abc import Collection, Iterable, Mapping
 from typing import Annotated, Any, Literal, NamedTuple, Self, TypeVar, get_args, get_origin
 
 from pydantic import (
@@ -255,3 +256,9 @@ def flat(settings: Mapping[str, Any]) -> dict[str, Any]:
     parts = {name: value for name, value in settings.items() if isinstance(value, Mapping)}
     own = {f"{part}.{name}": value for part, fields in parts.items() for name, value in fields.items()}
     return {name: value for name, value in settings.items() if name not in parts} | own
+
+
+def differing(settings: Iterable[Mapping[str, Any]]) -> set[str]:
+    """The settings that are not the same everywhere."""
+    pairs = itertools.pairwise(settings)
+    return {key for one, other in pairs for key in {*one, *other} if one.get(key) != other.get(key)}

@@ -210,14 +210,19 @@ def rounded(means: Array) -> Array:
 def difference(first: Sequence[Array], second: Sequence[Array] = ()) -> Interval:
     """The mean of some configurations' means minus that of others, with Welch's interval; n is the smallest.
 
-    Without a second it is Student's interval of the mean.
-
-    first, second: [S] per configuration. With five seeds it covers 95 % (a percentile bootstrap 83 %). The
-    interval of equal seeds is their value; NaN where a configuration has fewer than two.
+    Without a second it is Student's interval of the mean. first, second: [S] per configuration.
     """
-    samples = [*first, *second]
+    weights = [1 / max(len(first), 1)] * len(first) + [-1 / max(len(second), 1)] * len(second)
+    return contrast([*first, *second], np.array(weights))
+
+
+def contrast(samples: Sequence[Array], weights: Array) -> Interval:
+    """A weighted sum of configurations' means, with Welch's interval; n is the smallest.
+
+    samples: [S] per configuration; weights [C]. With five seeds it covers 95 % (a percentile bootstrap 83 %).
+    The interval of equal seeds is their value; NaN where a configuration has fewer than two.
+    """
     n = min(map(len, samples), default=0)
-    weights = np.array([1 / max(len(first), 1)] * len(first) + [-1 / max(len(second), 1)] * len(second))
     if n < 2:
         value = (
             float(sum(w * sample.mean() for w, sample in zip(weights, samples, strict=True))) if n else np.nan

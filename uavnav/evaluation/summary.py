@@ -11,10 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluation import scripted
 from uavnav.runs import Run, metrics, paper
-from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
+from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, as_logged, decimals, per_frame
 from uavnav.runs.lately import Lately, sparkline, with_spread
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks.faults import NO_FAULTS
@@ -30,10 +29,9 @@ DEFINITIONS = {"world": ("slots", "padding", "start_heading"), "reward": ("eq14"
 
 def _definitions(run: Run) -> dict[str, pd.DataFrame]:
     """A finished run per frame, by the log curve and per episode."""
-    rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
     definitions = {PER_FRAME: per_frame(run.episodes, run.frames)}
-    if rhythm is not None:
-        definitions[LOG_CURVE] = log_curve(run.episodes, run.frames, *rhythm)
+    if (logged := as_logged(run.algorithm, run.config, run.episodes, run.frames)) is not None:
+        definitions[LOG_CURVE] = logged
     return definitions | {ALL: per_seed(run.episodes)}
 
 
@@ -46,12 +44,12 @@ def of_run(run: Run) -> Table:
     """The six metrics of a finished run next to the paper's row."""
     config = run.config
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
-    worlds = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
+    environments = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
     changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
     ends = "collision or goal" if config.get("task") == "goal" else "collision"
     preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
     return _metric_table(
-        f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
+        f"{run.algorithm} {config['activation']}, {preset}, {environments}",
         f"log curve and all training episodes leave open episodes out; judge by the test episodes.\n"
         f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
         f" {run.meta['layouts']['k']} obstacles a layout; reward {config['reward']}; init {config['init']};"

@@ -18,7 +18,7 @@ import pandas as pd
 from uavnav import stats, style
 from uavnav.report import charts
 from uavnav.report.apart import evaluations
-from uavnav.report.frames import NUMBERS, Rows, columns, name
+from uavnav.report.frames import NUMBERS, Rows, columns, last_tenth, name
 from uavnav.report.verdicts import ALPHA, OPEN, SEEDS
 from uavnav.runs import Run
 from uavnav.runs.definitions import per_frame
@@ -75,10 +75,9 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
 
 
 def _trained(run: Run) -> dict[str, Array]:
-    late = run.progress[run.progress["frame"] > 0.9 * run.frames].groupby("seed")
-    known = {label: column for label, column in PROBES.items() if column in run.progress}
-    reward = 1_000 * per_frame(run.episodes, run.frames)["reward"].to_numpy()
-    return {REWARD: reward, **{label: late[column].mean().to_numpy() for label, column in known.items()}}
+    seeds = last_tenth(run.progress, run.frames)
+    probed = {label: seeds[column].to_numpy() for label, column in PROBES.items() if column in seeds}
+    return {REWARD: 1_000 * per_frame(run.episodes, run.frames)["reward"].to_numpy(), **probed}
 
 
 @columns(*Where._fields, "configuration", "measure", *NUMBERS)

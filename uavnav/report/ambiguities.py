@@ -15,9 +15,10 @@ import pandas as pd
 from uavnav import stats
 from uavnav.report.claims import around_surge
 from uavnav.report.configurations import apart, order, settings_of, show
-from uavnav.report.frames import Rows, columns, name
+from uavnav.report.frames import Rows, columns, lost, name
 from uavnav.runs import Run, draws, paper
 from uavnav.runs.definitions import last_hundred
+from uavnav.settings import differing
 from uavnav.stats import Array
 
 STUDY, DRAWS = "ambiguities", "draws"
@@ -45,9 +46,9 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
         for number, (run, *_) in screened.items():
             own = settings_of(run.config, run.meta, run.frames)
             chosen[number] = {key: show(value) for key, value in own.items()}
-        settings = pd.DataFrame(chosen).T
-        varied = [key for key in settings if settings[key].nunique() > 1 and key not in FOLLOW]
-        tables = {DRAWS: settings.loc[near.index, varied].join(near).rename_axis("draw").reset_index()}
+        settings, varied = pd.DataFrame(chosen).T, differing(chosen.values()) - FOLLOW
+        shown = settings.loc[near.index, settings.columns.isin(varied)]
+        tables = {DRAWS: shown.join(near).rename_axis("draw").reset_index()}
         rows = [
             {"draw": number} | row
             for number in near.index
@@ -98,10 +99,9 @@ def surges(runs: Sequence[Run]) -> Rows:
     """
     for run in (one for one in runs if (one.algorithm, one.config["activation"]) == SURGING):
         rewards = last_hundred(run.episodes, "reward", around_surge(run.frames))
-        before, surge, after = rewards.dropna().to_numpy().T
-        lost = stats.ratio(surge - after, surge - before)
-        verdict = AS_PRINTED if lost.low > 0.5 else NOT if lost.high < 0.5 else OPEN
-        yield [SURGES, *lost, np.nan, verdict]
+        share = lost(*rewards.dropna().to_numpy().T)
+        verdict = AS_PRINTED if share.low > 0.5 else NOT if share.high < 0.5 else OPEN
+        yield [SURGES, *share, np.nan, verdict]
 
 
 def standing(found: pd.DataFrame) -> pd.Series[str]:

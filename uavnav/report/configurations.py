@@ -25,13 +25,13 @@ from uavnav.runs.definitions import (
     LOG_CURVE,
     PER_FRAME,
     TOTALS,
-    log_curve,
+    as_logged,
     per_frame,
     within,
 )
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, in_order, last_episodes, per_seed
-from uavnav.runs.tables import RunError
-from uavnav.settings import flat
+from uavnav.runs.tables import RunError, joined
+from uavnav.settings import differing, flat
 from uavnav.tasks.world import World
 
 BINS = 25
@@ -181,13 +181,9 @@ def _merged(configuration: Configuration, other: Configuration) -> Configuration
     return replace(
         configuration,
         runs=[*configuration.runs, added],
-        episodes=_joined(configuration.episodes, other.episodes),
-        evaluation=_joined(configuration.evaluation, other.evaluation),
+        episodes=joined([configuration.episodes, other.episodes]),
+        evaluation=joined([configuration.evaluation, other.evaluation]),
     )
-
-
-def _joined(*tables: pd.DataFrame) -> pd.DataFrame:
-    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
 
 
 def algorithms(keys: Iterable[Key]) -> list[str]:
@@ -206,12 +202,12 @@ def order(key: Key) -> tuple[int | bool | str, ...]:
 def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configuration]], str]:
     """An algorithm's configurations by how each differs from what is usual, in order; and what is usual."""
     settings = [{key: show(value) for key, value in one.settings.items()} for one in configurations]
-    differing = {key for one in settings for key in one if len({other.get(key) for other in settings}) > 1}
-    differing -= {"total_frames"} if "frames" in differing else set()
+    changed = differing(settings)
+    changed -= {"total_frames"} if "frames" in changed else set()
     beyond = {
         key for one in configurations for run in one.runs for key in flat(run.meta["beyond_preset"])
     } - {"layouts"}
-    named = [*NAMED, *sorted((differing | beyond).difference(NAMED))]
+    named = [*NAMED, *sorted((changed | beyond).difference(NAMED))]
     usual = {
         key: Counter(one.get(key) for one in settings).most_common(1)[0][0] for key in named if configurations
     }
@@ -242,9 +238,8 @@ def read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
     if definition == PER_FRAME:
         found = per_frame(episodes, own["frames"])
     elif definition == LOG_CURVE:
-        algorithm = ALGORITHMS.get(configuration.algorithm)
-        rhythm = algorithm.rhythm(own) if algorithm else None
-        found = log_curve(episodes, own["frames"], *rhythm) if rhythm else per_seed(episodes[:0])
+        logged = as_logged(configuration.algorithm, own, episodes, own["frames"])
+        found = per_seed(episodes[:0]) if logged is None else logged
     else:
         found = per_seed(episodes, ratio_of_means=definition == TOTALS)
     configuration.known[definition] = found

@@ -43,14 +43,14 @@ from uavnav.report.claims import (
 from uavnav.report.configurations import MODE, Configuration, algorithms, collect, read_as
 from uavnav.report.operating import characteristics
 from uavnav.report.quotes import STUDY, prose
-from uavnav.report.studies import Rows, Studies
+from uavnav.report.studies import Studies
 from uavnav.report.templating import Figure
 from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
 from uavnav.runs import VALUES, Run, paper
-from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, SAMPLED
+from uavnav.runs.definitions import DEFINITIONS, SAMPLED
 from uavnav.runs.metrics import MODES
-from uavnav.runs.tables import RunError, read_table
+from uavnav.runs.tables import RunError, joined, read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 from uavnav.training import machine
@@ -148,7 +148,7 @@ def gather(
         episodes, by_layout, watched, problems = watch(dealt)
         baselines, unread = frames.baselines(folders)
         tuned, winners, untuned = tuning.read(folders, baselines)
-        evidence = {one: Rows(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
+        evidence = {one: studies.evidence_of(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
         tell("judging the claims")
         asks: list[tuple[str, Evidence, Evidence, Sequence[Claim]]] = [
             (column, evidence[one], functools.partial(studies.of_paper, definition=one), CLAIMS)
@@ -194,7 +194,7 @@ def gather(
             "passing": frames.passing(gaps),
             "by_default": frames.by_default(dealt, winners),
             "fits": frames.fits(predictions, evidence),
-            "peaks": frames.peaks(of_paper, evidence[LOG_CURVE]),
+            "peaks": frames.peaks(of_paper, evidence),
             **tuned,
         }
         if dealt.tuned:
@@ -212,7 +212,7 @@ def gather(
             numbers |= gathered
             left_out += unread_too
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
-        numbers["operating"] = pd.concat([one for one in errs if len(one)] or errs[:1], ignore_index=True)
+        numbers["operating"] = joined(errs)
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
         tell("flying episodes for the replays")
@@ -287,4 +287,4 @@ def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFram
     for key, configuration in configurations.items():
         if (table := _of_runs(configuration, read, problems)) is not None:
             found.append(table.assign(configuration=frames.name(*key))[[*found[0].columns]])
-    return pd.concat(found[1:] or found, ignore_index=True), problems
+    return joined(found), problems

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from uavnav.report import tables
-from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG, Claim
+from uavnav.report.claims import CLAIMS, COLUMNS, EVERY, LOG
 from uavnav.report.content import Content
 from uavnav.report.frames import least_to_most
 from uavnav.report.verdicts import COUNTS, OPEN
@@ -26,29 +26,25 @@ class Row(NamedTuple):
 
 def rows(content: Content) -> list[Row]:
     """A row a claim; 12 to 16 where a folder has that study."""
-    found = []
+    grades, verdicts, found = content.tables["grades"], content.tables["verdicts"], []
     for claim in EVERY if content.worlds else CLAIMS:
         graded, parts, own = dict.fromkeys(COLUMNS, tables.NOTHING), {}, OPEN
-        grades = content.tables["grades"]
-        grades = grades[grades["claim"] == claim.number]
-        for place, one in grades.to_dict("index").items():
+        judged = verdicts[verdicts["claim"] == claim.number]
+        for place, one in grades[grades["claim"] == claim.number].to_dict("index").items():
             column, seeds = one["column"], least_to_most([one["least"], one["most"]])
             counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
             grade = tables.linked(one["grade"], "grades", place)
             graded[column] = f"{grade}{counts}, n\u00a0=\u00a0{seeds}"
-            judged = content.tables["verdicts"].query("claim == @claim.number and column == @column")
-            parts[column] = tables.listed(judged, "verdicts")
+            parts[column] = tables.listed(judged[judged["column"] == column], "verdicts")
             own = one["grade"] if column == claim.column else own
-        said = content.said[f"claim_{claim.number}"] or _generic(claim, content)
+        said = content.said[f"claim_{claim.number}"] or _generic(judged[judged["column"] == claim.column])
         found.append(Row(claim.number, claim.sentence, claim.note, own, graded, said, parts))
     return found
 
 
-def _generic(claim: Claim, content: Content) -> str:
-    """The first part that counts, of a folder that no sentence was written for."""
-    verdicts = content.tables["verdicts"]
-    chosen = (verdicts["claim"] == claim.number) & (verdicts["column"] == claim.column)
-    for place, one in verdicts[chosen & (verdicts["standing"] == COUNTS)].to_dict("index").items():
+def _generic(judged: pd.DataFrame) -> str:
+    """The first part of a claim that counts, of a folder that no sentence was written for."""
+    for place, one in judged[judged["standing"] == COUNTS].to_dict("index").items():
         effect = tables.with_interval(one["value"], one["low"], one["high"], tables.digits(one))
         return f"{one['text']}: {tables.linked(effect, 'verdicts', place)}"
     return "No part that counts has runs."

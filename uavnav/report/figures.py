@@ -9,7 +9,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import activations, arena, behaviour, charts, horizon, learned, longer, worlds
+from uavnav.report import activations, arena, behaviour, charts, frames, horizon, learned, longer, worlds
 from uavnav.report.claims import EVERY, LOG, PRIMARY, PRINTED, TRAINING
 from uavnav.report.configurations import MODE, Key, algorithms
 from uavnav.report.frames import REACTIVE, least_to_most, name
@@ -55,10 +55,10 @@ def draw(
     """
     flown = {key[1:]: table for key, table in episodes.items() if key[0] == "main"}
     found = [
-        _first(numbers["seeds"], numbers["gaps"]),
+        _first(frames.rewards(configurations, SAMPLED), numbers["gaps"]),
         _forest(numbers["verdicts"]),
         *_curves(configurations),
-        _training(numbers["seeds"], numbers["gaps"]),
+        _training(frames.rewards(configurations, PRIMARY), numbers["gaps"]),
         *_paths(flown),
         *_places(flown),
         _survival(configurations, numbers["survival"], survival),
@@ -118,22 +118,24 @@ def _curves(configurations: Configurations) -> list[Figure]:
     return found
 
 
-def _training(values: pd.DataFrame, gaps: pd.DataFrame) -> Figure:
-    """Configurations side by side by their reward in training."""
+def _training(rewards: Mapping[str, Array], gaps: pd.DataFrame) -> Figure:
+    """Configurations side by side by their reward in training, a number a seed [S] each."""
     earned = _of_reactive(gaps, "per_frame")
     printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
     caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
     if np.isfinite(earned):
         caption += f" Dashed: the scripted policy `{REACTIVE}` on the test layouts."
-    args = _rewards(values, PRIMARY), printed, words("reward", PRIMARY), earned
+    args = rewards, printed, words("reward", PRIMARY), earned
     return sized("configurations-reward", "tables", caption, charts.intervals, *args)
 
 
-def _first(values: pd.DataFrame, gaps: pd.DataFrame) -> Figure:
-    """The first screen's figure, as wide as the page: reward of test episodes, the scripted policy's too."""
-    seeds, sampled = _rewards(values, SAMPLED), gaps[gaps["mode"] == MODE]
-    known = sampled[sampled["who"].isin(seeds)].set_index("who")[["reward", "low", "high", "n"]]
-    rows = {str(who): (seeds[str(who)], Interval(*one)) for who, *one in known.itertuples()}
+def _first(rewards: Mapping[str, Array], gaps: pd.DataFrame) -> Figure:
+    """The first screen's figure, as wide as the page: reward of test episodes, a number a seed [S] of each
+    configuration, and the scripted policy's.
+    """
+    sampled = gaps[gaps["mode"] == MODE]
+    known = sampled[sampled["who"].isin(rewards)].set_index("who")[["reward", "low", "high", "n"]]
+    rows = {str(who): (rewards[str(who)], Interval(*one)) for who, *one in known.itertuples()}
     looks = {label: (style.of_pilot(label), "-") for label in rows}
     limits = sampled["limit"].dropna()
     limit = f" Episodes end at a collision, or after {limits.max():,.0f} steps." if len(limits) else ""
@@ -144,14 +146,6 @@ def _first(values: pd.DataFrame, gaps: pd.DataFrame) -> Figure:
     caption = f"{caption}{limit} The paper: {paper.TITLE}."
     args = rows, looks, _of_reactive(gaps, "reward"), "reward per test episode"
     return sized("configurations-episodes", "first", caption, charts.episodes, *args, wide=style.FULL)
-
-
-def _rewards(values: pd.DataFrame, definition: str) -> dict[str, Array]:
-    """Each of the paper's configurations: one number a seed [S]."""
-    shown = values[(values["definition"] == definition) & (values["metric"] == "reward")]
-    shown = shown[shown["activation"].isin(paper.ACTIVATIONS)]
-    by = shown.groupby(["algorithm", "activation"], sort=False)["value"]
-    return {name(*map(str, key)): part.dropna().to_numpy() for key, part in by}
 
 
 def _paths(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:

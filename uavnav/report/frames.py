@@ -18,13 +18,13 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import claims
-from uavnav.report.claims import AFTER, BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, WHEN, Evidence, around_surge
+from uavnav.report.claims import AFTER, BOUNDED, PAIR, PRIMARY, UNBOUNDED, WHEN, Evidence
 from uavnav.report.configurations import Configuration, Key, algorithms, episodes_of, order, read_as, windowed
 from uavnav.report.studies import Configurations, Studies, hours, paper_configurations, timed
 from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
 from uavnav.runs import paper
-from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, PER_FRAME, SAMPLED
-from uavnav.runs.metrics import EVALUATED, finished
+from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, LOG_CURVE, PER_FRAME, SAMPLED
+from uavnav.runs.metrics import EVALUATED, finished, has_ended
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import MAX_STEPS
 
@@ -94,6 +94,11 @@ def of_seeds(configuration: Configuration, definition: str) -> stats.Array:
     return read_as(configuration, definition)["reward"].dropna().to_numpy()
 
 
+def rewards(configurations: Configurations, definition: str) -> dict[str, stats.Array]:
+    """`of_seeds` of each configuration, by its name."""
+    return {name(*key): of_seeds(one, definition) for key, one in configurations.items()}
+
+
 def per_seed_values(configurations: Configurations) -> pd.DataFrame:
     """Columns algorithm, activation, definition, metric, seed, value."""
     names = ["algorithm", "activation", "definition", "metric", "seed", "value"]
@@ -161,7 +166,7 @@ def predictions(evidence: Mapping[str, Evidence]) -> Rows:
 
 def improvement(configurations: Configurations) -> pd.DataFrame:
     """How probably a seed of one configuration beats a seed of another (`stats.improvement`)."""
-    return stats.improvement({name(*key): of_seeds(one, PRIMARY) for key, one in configurations.items()})
+    return stats.improvement(rewards(configurations, PRIMARY))
 
 
 @columns("definition", "metric", *stats.Interaction._fields)
@@ -216,14 +221,19 @@ def flown(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
 
 
+def last_tenth(progress: pd.DataFrame, frames: int) -> pd.DataFrame:
+    """Means over the last tenth of training: a row a seed, a column of progress."""
+    return progress[progress["frame"] > 0.9 * frames].groupby("seed").mean()
+
+
 @columns("configuration", "diagnostic", "n", "value", "low", "high")
 def diagnostics(configurations: Configurations) -> Rows:
     """The last tenth of training: mean over seeds and its interval of each diagnostic."""
     for key, configuration in configurations.items():
         progress = pd.concat([run.progress for run in configuration.runs], ignore_index=True)
-        late = progress[progress["frame"] > 0.9 * configuration.settings["frames"]]
-        for column in (one for one in DIAGNOSTICS if one in late):
-            *mean, n = stats.interval(late.groupby("seed")[column].mean())
+        seeds = last_tenth(progress, configuration.settings["frames"])
+        for column in (one for one in DIAGNOSTICS if one in seeds):
+            *mean, n = stats.interval(seeds[column].to_numpy())
             yield [name(*key), column, n, *mean]
 
 
@@ -308,7 +318,7 @@ def one_against_many(studies: Studies) -> Rows:
     def measured(configuration: Configuration) -> dict[str, stats.Array]:
         frames, episodes = configuration.settings["frames"], configuration.episodes
         late = windowed(configuration, [(frames - AFTER, frames)])[0]
-        steps = episodes["steps"].mask(episodes["terminated"] | episodes["truncated"], 0)
+        steps = episodes["steps"].mask(has_ended(episodes), 0)
         longest, together = (getattr(steps.groupby(episodes["seed"]), one)() for one in ("max", "sum"))
         of_open = {"longest": longest.to_numpy(np.float64), "open": (together / frames).to_numpy()}
         return {"scatter": stats.deviations(late.to_numpy()), **of_open}
@@ -341,11 +351,10 @@ def by_default(studies: Studies, winners: Configurations) -> Rows:
     yield ["main study", words, *_halves(flown(studies.main, shared))]
     if shared and min(map(len, [*fast, *searched])) > 1:
         yield [claims.TUNED, "tanh", *_halves(searched)]
-        weights = np.concatenate([[1, -1], [-1, 1]]).repeat([len(shared), len(shared), 1, 1])
-        found = stats.welch([*fast, *searched], (weights / [*[len(shared)] * len(fast), 1, 1])[None])
-        ends = (found.value, found.lower(stats.TAILS[0]), found.upper(stats.TAILS[0]))
-        numbers = *(float(one[0]) for one in ends), min(map(len, fast))
-        yield [f"preset {claims.FAST} − {claims.TUNED}", words, *numbers]
+        share = 1 / len(shared)
+        weights = np.array([share, -share, -1, 1]).repeat([len(shared), len(shared), 1, 1])
+        lead = stats.contrast([*fast, *searched], weights)
+        yield [f"preset {claims.FAST} − {claims.TUNED}", words, *lead]
 
 
 def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
@@ -390,27 +399,31 @@ def one_run(values: pd.DataFrame) -> Rows:
         yield from ([algorithm, definition, what, share, n] for what, share in shares.items())
 
 
+def lost(before: stats.Array, surge: stats.Array, after: stats.Array) -> stats.Interval:
+    """The share of the rise in reward [S] from before to the surge that is gone after it."""
+    return stats.ratio(surge - after, surge - before)
+
+
 @columns("configuration", "measure", *NUMBERS)
-def peaks(configurations: Configurations, log: Evidence) -> Rows:
+def peaks(configurations: Configurations, evidence: Mapping[str, Evidence]) -> Rows:
     """When a configuration earns most per frame, and what it loses after 600,000 frames.
 
     `peak` is the middle of each seed's best stretch of training [frames]; `lost` the share of the rise in
     reward per frame, from the first 300,000 frames to the next, that is gone in the last 100,000 (Fieller's
     interval). The same by SB3's log (reward per episode), its means in these stretches, and how many seeds
-    lose more than half. log: the evidence of that definition.
+    lose more than half. Shorter trainings have no rows. evidence: by metric definition.
     """
     for key, configuration in configurations.items():
-        frames = configuration.settings["frames"]
-        if frames < SURGE[1] + AFTER:
+        earned, logged = (
+            [evidence[one](*key, f"reward_{when}") for when in WHEN] for one in (PRIMARY, LOG_CURVE)
+        )
+        if not len(earned[0]):
             continue
         best = configuration.curve.round(9).idxmax()  # of equal ones the first
-        before, surge, after = windowed(configuration, around_surge(frames)).to_numpy().T
-        logged = {when: log(*key, f"reward_{when}") for when in WHEN}
-        found = {"peak": stats.difference([np.asarray(best, dtype=np.float64)])}
-        found["lost"] = stats.ratio(surge - after, surge - before)
-        found |= {f"{when}, {SB3}": stats.difference([one]) for when, one in logged.items()}
-        before, surge, after = logged.values()
-        found[f"lost, {SB3}"] = stats.ratio(surge - after, surge - before)
+        found = {"peak": stats.difference([np.asarray(best, dtype=np.float64)]), "lost": lost(*earned)}
+        found |= {f"{when}, {SB3}": stats.difference([one]) for when, one in zip(WHEN, logged, strict=True)}
+        found[f"lost, {SB3}"] = lost(*logged)
+        before, surge, after = logged
         halved = int((surge - after > (surge - before) / 2).sum())
         found[f"seeds that lose half, {SB3}"] = stats.Interval(halved, np.nan, np.nan, len(after))
         yield from ([name(*key), measure, *one] for measure, one in found.items())

@@ -23,6 +23,7 @@ from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
+from uavnav.settings import differing
 from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import replays
@@ -326,7 +327,7 @@ def differences(contenders: Sequence[Contender]) -> tables.Rows:
         kind = [own.get(key) for key in KIND]
         peers = [other for other in known.values() if [other.get(key) for key in KIND] == kind]
         beyond = {key for run in trained[name].runs for key in run.meta["beyond_preset"]} - {"layouts"}
-        differ = beyond | {key for key in own if len({show(peer.get(key)) for peer in peers}) > 1}
+        differ = beyond | (differing(peers) & own.keys())
         told = (f"{key}={show(own.get(key))}" for key in sorted(differ.difference(named, NOT_SAID)))
         rows.append([name, *(show(own.get(key)) for key in named), ", ".join(told) or tables.NOTHING])
     return rows

@@ -64,7 +64,7 @@ class Quotes:
         times = -times if sign == "−" else times
         value, low, high = (times * one for one in values)
         found = {"value": value, "low": min(low, high), "high": max(low, high)}
-        return self.link(in_brackets(found, unit, places), name, place)
+        return linked(in_brackets(found, unit, places), name, place)
 
     def claim(self, number: int, sign: str, *how: Any, **more: Any) -> str:
         """The effect, or its ratio to the paper's, of a part of a claim that counts: the one that its
@@ -93,10 +93,6 @@ class Quotes:
             raise Untrue("a comparison is not true")
         return ""
 
-    def link(self, words: str, name: str, row: Any = None) -> str:
-        """Words that lead to a table, or to a row of it (`tables.linked`)."""
-        return linked(words, name, row)
-
 
 _TEMPLATES = jinja2.Environment(  # its own: the page's loads torch
     loader=jinja2.PackageLoader("uavnav.report"), undefined=jinja2.StrictUndefined
@@ -108,10 +104,9 @@ def block(name: str, quotes: Quotes) -> str:
     """A block of the prose, in Markdown; raises Untrue, with its name, where it is not true or asks for a row
     or a column that is not there.
     """
-    names = ("table", "quote", "claim", "grade", "check", "link")
-    methods = {one: getattr(quotes, one) for one in names}
+    asks = {one: getattr(quotes, one) for one in ("table", "quote", "claim", "grade", "check")}
     try:
-        return "".join(STUDY.blocks[name](STUDY.new_context(methods))).strip()
+        return "".join(STUDY.blocks[name](STUDY.new_context(asks | {"link": linked}))).strip()
     except (ValueError, LookupError, pd.errors.UndefinedVariableError, jinja2.UndefinedError) as error:
         raise Untrue(f"{name}: {error}") from error
 

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from uavnav.report.claims import AFTER, FAST, PRIMARY, SURGE, TUNED, WHEN, around_surge
+from uavnav.report.claims import AFTER, FAST, PRIMARY, SURGE, TUNED, WHEN, Evidence, around_surge
 from uavnav.report.configurations import Configuration, Key, episodes_of, order, read_as, show, windowed
 from uavnav.runs import POLICY, Run, paper
 from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, last_hundred
-from uavnav.settings import flat
+from uavnav.settings import differing, flat
 from uavnav.stats import Array
 from uavnav.tasks.faults import NO_FAULTS
 
@@ -97,7 +96,7 @@ def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
 
 
 def _place(studies: Studies, configuration: Configuration, usual: Mapping[str, Any]) -> Configurations | None:
-    place, changed = PLACES.get(configuration.study), _changed(configuration.settings, usual)
+    place, changed = PLACES.get(configuration.study), differing([configuration.settings, usual])
     if place in ("main", "vectorised", "tuned"):
         configurations: Configurations = getattr(studies, place)
         return configurations
@@ -113,16 +112,12 @@ def _place(studies: Studies, configuration: Configuration, usual: Mapping[str, A
     return None if more else apart.setdefault(f"{name}={show(configuration.settings.get(name))}", {})
 
 
-def _changed(own: Mapping[str, Any], usual: Mapping[str, Any]) -> set[str]:
-    return {key for key in {*usual, *own} if usual.get(key) != own.get(key)}
-
-
 def in_none(studies: Studies) -> list[str]:
     """One line for each run that is in no study, with how its settings differ from the main study's."""
     lines, usual = [], studies.main | studies.vectorised
     for configuration in studies.others:
         nearest = next(one.settings for key, one in usual.items() if key[0] == configuration.algorithm)
-        changes = sorted(_changed(configuration.settings, nearest))
+        changes = sorted(differing([configuration.settings, nearest]))
         how = ", ".join(f"{key}={show(configuration.settings.get(key)):.20}" for key in changes)
         lines += [
             f"{run.path}: in no study; it differs from the main one in {how}" for run in configuration.runs
@@ -163,50 +158,48 @@ def further(studies: Studies) -> Configurations:
     return {key: one for key, one in studies.of("vectorised").items() if key[0] not in paper.TABLE_OF}
 
 
-@dataclass(eq=False)
-class Rows:
-    """Each metric of the studies' configurations in one metric definition: an `Evidence`.
+def evidence_of(
+    studies: Studies,
+    definition: str,
+    episodes: Mapping[tuple[str, str, str], pd.DataFrame],
+    by_layout: Mapping[tuple[str, str, str], pd.DataFrame],
+    searched: Configurations,
+) -> Evidence:
+    """Each metric of the studies' configurations in one of `definitions.DEFINITIONS`.
 
-    episodes: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: of `layout`.
+    episodes: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: of `layout`;
+    searched: what the trials of `tuning` found.
     """
+    mode = "greedy" if definition.startswith("greedy") else "sampled"
 
-    studies: Studies
-    definition: str  # one of `definitions.DEFINITIONS`
-    episodes: Mapping[tuple[str, str, str], pd.DataFrame]
-    by_layout: Mapping[tuple[str, str, str], pd.DataFrame] = field(default_factory=dict)
-    searched: Configurations = field(default_factory=dict)  # what the trials of `tuning` found
+    @functools.cache
+    def per_seed(configuration: Configuration) -> pd.DataFrame:
+        table, frames = read_as(configuration, definition), configuration.settings["frames"]
+        if definition not in (PRIMARY, LOG_CURVE) or frames < SURGE[1] + AFTER:
+            return table
+        windows = around_surge(frames)
+        if definition == LOG_CURVE:
+            rewards = last_hundred(episodes_of(configuration, LOG_CURVE), "reward", windows)
+        else:
+            rewards = windowed(configuration, windows)
+        return table.join(rewards.set_axis([f"reward_{when}" for when in WHEN], axis=1))
 
-    def __post_init__(self) -> None:
-        self._table = functools.cache(self._per_seed)
-
-    def _of(self, study: str) -> Configurations:
-        return self.searched if study == TUNED else self.studies.of(study)
-
-    def _per_seed(self, study: str, algorithm: str, activation: str) -> pd.DataFrame:
-        configuration = self._of(study)[algorithm, activation]
-        table, frames = read_as(configuration, self.definition), configuration.settings["frames"]
-        if self.definition in (PRIMARY, LOG_CURVE) and frames >= SURGE[1] + AFTER:
-            windows = around_surge(frames)
-            if self.definition == LOG_CURVE:
-                rewards = last_hundred(episodes_of(configuration, LOG_CURVE), "reward", windows)
-            else:
-                rewards = windowed(configuration, windows)
-            table = table.join(rewards.set_axis([f"reward_{when}" for when in WHEN], axis=1))
-        return table
-
-    def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
-        configuration = self._of(study).get((algorithm, activation))
+    def known(algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
+        there = searched if study == TUNED else studies.of(study)
+        configuration = there.get((algorithm, activation))
         if configuration is None:
             return np.empty(0)
         if metric == "hours":
-            return hours(configuration) if self.definition == PRIMARY else np.empty(0)
-        of_episodes = self.by_layout if metric.endswith("_by_layout") else self.episodes
+            return hours(configuration) if definition == PRIMARY else np.empty(0)
+        of_episodes = by_layout if metric.endswith("_by_layout") else episodes
         flown = of_episodes.get((study, algorithm, activation))
         if flown is not None and metric in flown:
-            table = flown[flown["mode"] == ("greedy" if self.definition.startswith("greedy") else "sampled")]
+            table = flown[flown["mode"] == mode]
         else:
-            table = self._table(study, algorithm, activation)
+            table = per_seed(configuration)
         return np.asarray(table[metric].dropna(), dtype=np.float64) if metric in table else np.empty(0)
+
+    return known
 
 
 def timed(configuration: Configuration) -> list[Run]:

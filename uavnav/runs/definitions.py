@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from uavnav.algorithms import ALGORITHMS
 from uavnav.runs.metrics import LAST, METRICS, MODES, counted, in_order, per_episode
 
 PER_FRAME = "per frame"
@@ -54,6 +56,15 @@ def per_frame(episodes: pd.DataFrame, frames: int) -> pd.DataFrame:
             (metric.scale or 1) * sums[name] / (frames if of_frames else collisions.where(collisions > 0))
         )
     return pd.DataFrame(table)
+
+
+def as_logged(
+    algorithm: str, settings: Mapping[str, Any], episodes: pd.DataFrame, frames: int
+) -> pd.DataFrame | None:
+    """The `log_curve` of a training; None where it is not known when Stable-Baselines3 logs."""
+    known = ALGORITHMS.get(algorithm)
+    rhythm = known.rhythm(settings) if known else None
+    return log_curve(episodes, frames, *rhythm) if rhythm else None
 
 
 def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.DataFrame:

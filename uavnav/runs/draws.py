@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import Run, paper
-from uavnav.runs.definitions import log_curve
+from uavnav.runs.definitions import as_logged
 from uavnav.runs.tables import RunError
 from uavnav.stats import Array
 
@@ -25,9 +24,8 @@ Seeds = Mapping[tuple[str, str], Array]
 
 def logged(run: Run) -> Array:
     """The paper's metrics of each seed that has a log, as Stable-Baselines3 logs them: [S, 6]."""
-    rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
-    assert rhythm is not None, run.algorithm
-    table = log_curve(run.episodes, run.frames, *rhythm)
+    table = as_logged(run.algorithm, run.config, run.episodes, run.frames)
+    assert table is not None, run.algorithm
     return table[list(paper.COLUMNS)].dropna().to_numpy()
 
 

@@ -159,15 +159,20 @@ def own(episodes: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
+def has_ended(episodes: pd.DataFrame) -> pd.Series[bool]:
+    """Whether each episode ended; one still open when training ended has neither flag."""
+    return episodes["terminated"] | episodes["truncated"]
+
+
 def finished(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The episodes that ended; an episode still open when training ended has neither flag."""
-    ended = episodes["terminated"] | episodes["truncated"]
+    """The episodes that ended."""
+    ended = has_ended(episodes)
     return episodes if ended.all() else episodes[ended]
 
 
 def in_order(episodes: pd.DataFrame) -> pd.DataFrame:
     """The episodes that ended, each seed's together and in order of time."""
-    ended = np.flatnonzero(episodes["terminated"] | episodes["truncated"])
+    ended = np.flatnonzero(has_ended(episodes))
     keys = [episodes[name].to_numpy()[ended] for name in ("env", "frame", "seed") if name in episodes]
     is_later = np.ones(max(len(ended) - 1, 0), dtype=bool)
     for change in map(np.diff, keys):

@@ -59,6 +59,11 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     return list(json.loads(table.to_json(orient="records", double_precision=15)))
 
 
+def joined(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Some tables as one; those without rows are left out, as they would change the types of columns."""
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+
+
 def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:
     """Read a Parquet file that has at least these columns; columns: name -> dtype.
 

@@ -20,7 +20,7 @@ import pandas as pd
 
 from uavnav import files
 from uavnav.errors import ConfigError
-from uavnav.runs.tables import RunError, lock, read_table, write
+from uavnav.runs.tables import RunError, joined, lock, read_table, write
 from uavnav.runs.trials import COLUMNS, DIVERGED, FINISHED, IMPORTANCE, OF_IMPORTANCE, TABLE, read
 from uavnav.studies import Configuration
 from uavnav.studies.run import Work
@@ -180,8 +180,7 @@ def _put(path: Path, table: pd.DataFrame, algorithms: Sequence[str]) -> None:
     """Write what there is of some algorithms; rows of others, which a call before this one searched, stay."""
     there = read(path, COLUMNS if path.name == TABLE else OF_IMPORTANCE)
     others = there[~there["algorithm"].isin(algorithms)]
-    whole = pd.concat([part for part in (others, table) if len(part)] or [table])
-    write(path, whole.to_csv(index=False).encode())
+    write(path, joined([others, table]).to_csv(index=False).encode())
 
 
 def _importance(optuna: Any, searches: Mapping[str, Any]) -> pd.DataFrame:

@@ -33,6 +33,7 @@ import pandas as pd
 from uavnav import files, plugins
 from uavnav.runs import POLICY, PROGRESS, STOP, WORKERS, Run, kept, progress
 from uavnav.runs.lately import NOTHING, Lately, all_seeds
+from uavnav.runs.metrics import has_ended
 from uavnav.runs.tables import LOCK, RunError, with_reward, write
 from uavnav.training import heartbeat, weights
 from uavnav.training.config import TrainConfig, plain
@@ -306,7 +307,7 @@ def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
     if not there:
         return episodes[0]
     table = pd.concat(there, ignore_index=True)
-    open_at_the_end = ~(table["terminated"] | table["truncated"])
+    open_at_the_end = ~has_ended(table)
     ended = table[~open_at_the_end].sort_values(["frame", "env", "seed"], kind="stable")
     return pd.concat([ended, table[open_at_the_end].sort_values(["seed", "env"])], ignore_index=True)
 

@@ -528,7 +528,7 @@ def test_a_configuration_that_rises_by_100_and_falls_by_75_loses_three_quarters_
 
     def peaks(one):
         studies = NO_STUDIES._replace(main={KEY: one})
-        training = evidence_of(studies, PER_FRAME, {}, {}, {})
+        training = evidence_of(studies, PER_FRAME, {})
         return frames.peaks(studies.main, {PER_FRAME: training, LOG_CURVE: log})
 
     found = peaks(in_stretches(*(seed * one for one in times))).set_index("measure")

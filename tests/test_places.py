@@ -102,7 +102,7 @@ def test_claim_9_is_judged_by_layout_with_one_number_a_set_of_obstacles():
         rows = pd.DataFrame({"mode": "sampled", "layout": range(6), "corridor_by_layout": values})
         tables[place] = pd.concat([rows.assign(mode="greedy", corridor_by_layout=0.0), rows])
     studies = Studies({key[1:]: "a configuration" for key in configurations}, {}, {}, {}, {}, {}, {}, [])
-    evidence = evidence_of(studies, "per frame", {}, tables, {})
+    evidence = evidence_of(studies, "per frame", {}, tables)
     assert evidence("ppo", "tanh", "corridor_by_layout") == pytest.approx(places)
 
     def known(algorithm, activation, metric, study="main"):

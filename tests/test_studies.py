@@ -196,7 +196,7 @@ KEY = ("dqn", "sigmoid")
 
 
 def rows_of(one, definition=PRIMARY, episodes=None):
-    return evidence_of(sort([one]), definition, episodes or {}, {}, {})
+    return evidence_of(sort([one]), definition, episodes or {})
 
 
 def test_each_reading_gives_one_number_a_seed():
@@ -302,7 +302,7 @@ def test_episodes_are_those_of_the_readings_mode_and_study():
     short = table.assign(corridor=0.5)
     studies = sort([*grid(["dqn"]), configuration(*KEY, study="wide", **SHORT)])
     episodes = {("main", *KEY): table, ("baseline", *KEY): short}
-    training, greedy = (evidence_of(studies, one, episodes, {}, {}) for one in (PRIMARY, "greedy evaluation"))
+    training, greedy = (evidence_of(studies, one, episodes) for one in (PRIMARY, "greedy evaluation"))
     assert training(*KEY, "corridor").tolist() == [0.1]  # of the seed that has one
     assert training(*KEY, "corridor", study="baseline").tolist() == [0.5, 0.5]
     assert greedy(*KEY, "corridor").tolist() == [0.9]

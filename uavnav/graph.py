@@ -251,7 +251,8 @@ def problem(device: str) -> str | None:
     level = logger.level
     logger.setLevel(logging.CRITICAL)
     try:
-        Graph(lambda x: (x.exp(),))(torch.ones(64, device=device))
+        on_cpu = torch.device(device).type == "cpu"
+        Graph(lambda x: (x.exp(),), cpp_wrapper=on_cpu)(torch.ones(64, device=device))
     except Exception as error:  # the tool chain may raise any kind; the run continues uncompiled
         return telling_line(error.__cause__ or error)
     finally:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -162,8 +163,8 @@ def evidence_of(
     studies: Studies,
     definition: str,
     episodes: Mapping[tuple[str, str, str], pd.DataFrame],
-    by_layout: Mapping[tuple[str, str, str], pd.DataFrame],
-    searched: Configurations,
+    by_layout: Mapping[tuple[str, str, str], pd.DataFrame] = MappingProxyType({}),
+    searched: Mapping[Key, Configuration] = MappingProxyType({}),
 ) -> Evidence:
     """Each metric of the studies' configurations in one of `definitions.DEFINITIONS`.
 

@@ -169,9 +169,10 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
 
 def _policies(path: str, seed: int | None, activation: str | None, most: int) -> list[Policy]:
     """Those of a run's lowest seeds, at most so many; of one seed, or of a zip, the one that there is."""
-    if seed is not None or is_zip(path) or not os.path.exists(path):
+    if is_zip(path):
         return [policies.load_policy(path, seed, False, activation)]
-    return [*itertools.islice(policies.each_policy(path, None, False), max(1, min(SEEDS, most)))]
+    own = policies.each_policy(path, None if seed is None else [seed], False)
+    return [*itertools.islice(own, max(1, min(SEEDS, most)))]
 
 
 def _checked(path: str, policy: Policy) -> Policy:

@@ -4,7 +4,7 @@ from types import SimpleNamespace as State3D
 
 import pytest
 import torch
-from browsing import WIDE, ask, complaints, forget, one, requested, visit, wait
+from browsing import WIDE, ask, complaints, find, forget, one, requested, visit, wait
 from replaying import STRAIGHT
 from runs_by_hand import rows, write_policies
 from selenium.webdriver.support.ui import Select
@@ -24,6 +24,7 @@ ABOVE = torch.tensor([[[400.0, 520.0, 180.0]]])
 EPISODE = (10, 10, 1, 0, 2, 50, 1.0)
 """Of `rows`."""
 PICTURE = "document.querySelector('.replay-arena canvas').toDataURL()"
+PICTURES = "[...document.querySelectorAll('.replay-arena canvas')].map((one) => one.toDataURL())"
 
 
 @pytest.fixture(scope="module")
@@ -104,12 +105,15 @@ def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_th
     empty, ahead = [0, 0, 0, 1], [0, 0, 1, 0.5]  # halfway between the drone's edge and the sensor's reach
     (point,) = ask(chrome, f"sensedPoints({world.model_dump_json()}, [1, 2, 3], {axes}, [{ahead}, {empty}])")
     assert point == pytest.approx([at + 75 * part for at, part in zip((1, 2, 3), axes[2], strict=True)])
-    canvas = one(chrome, ".replay-arena canvas")
-    assert canvas.get_dom_attribute("aria-label").endswith("seen from above and from the side")
-    assert canvas.size["width"] / canvas.size["height"] == pytest.approx(1608 / 600, rel=0.02)
-    before = ask(chrome, PICTURE)
+    views = find(chrome, ".replay-arena canvas")
+    for canvas, side in zip(views, ("above", "the side"), strict=True):
+        assert canvas.get_dom_attribute("aria-label") == f"The box at step 0 of 60, seen from {side}"
+        assert canvas.size["width"] / canvas.size["height"] == pytest.approx(800 / 600, rel=0.02)
+    before = ask(chrome, PICTURES)
     one(chrome, ".replay [aria-label='one step forward']").click()
-    assert ask(chrome, PICTURE) != before
+    assert all(now != then for now, then in zip(ask(chrome, PICTURES), before, strict=True))
+    Select(one(chrome, ".replay select")).select_by_index(0)
+    assert [canvas.is_displayed() for canvas in views] == [True, False]
     assert complaints(chrome) == []
 
 

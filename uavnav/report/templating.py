@@ -155,12 +155,13 @@ TEMPLATES = jinja2.Environment(
 )
 TEMPLATES.filters |= {"cell": cell, "inline": inline, "plain": plain, "listed": listed, "played": played}
 TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown, "json": browser.as_json}
-STYLES = HERE / "page.css", browser.HERE / "replay.css", browser.HERE / "first.css"
+STYLES = (HERE / "page.css", *browser.STYLES, browser.HERE / "first.css")
 PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
 """Scripts of the player, in the order in which a browser reads them."""
 TEMPLATES.globals |= {
     "css": Markup(browser.joined(STYLES)),
     "js": Markup(browser.joined(PLAYER)),
+    "values": browser.VALUES,
     "folding": Markup(browser.joined([HERE / "page.js"])),
     "renewing": Markup(browser.joined([HERE / "renew.js"])),
 }

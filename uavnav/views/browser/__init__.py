@@ -1,7 +1,7 @@
 """What runs in a browser: the tasks and their drawing, one home each, without a build step or a framework.
 
 `world.js` is the tasks, compared with Python's by tests/test_playground.py, `layouts.js` their obstacles;
-`drawing.js` draws them, and `box.js` those in 3D. `replay.js` plays recorded episodes on a report, and the
+`drawing.js` draws them, in 3D the views of `box.js`. `replay.js` plays recorded episodes on a report, and the
 folder `playground` flies live. A page contains the scripts that it needs, one after the other.
 """
 
@@ -23,6 +23,10 @@ WORLD = (HERE / "world.js", HERE / "layouts.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
 
 PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")  # what a page with recorded episodes needs
+STYLES = (HERE / "replay.css", HERE / "values.css")
+"""Its looks."""
+VALUES = Markup((HERE / "values.html").read_text(encoding="utf-8"))
+"""The inside of a picture of one value for each action."""
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}

@@ -1,7 +1,7 @@
 /*
  * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
  *
- * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle.
+ * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle, each as a canvas takes it.
  */
 
 const COLOURS = ["fg", "bg", "muted", "accent", "obstacle"];
@@ -33,6 +33,16 @@ function pitchOf(action) {
   return action.length > 2 ? action[1] : 0;
 }
 
+/** Base64 as bytes. */
+function bytesOf(text) {
+  return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+}
+
+/** A text of an element, written only where it is another. */
+function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
 const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
 
@@ -50,34 +60,26 @@ function everyPicture(owner, picture) {
   requestAnimationFrame(tick);
 }
 
-/** Have `draw` called when a canvas in an element has another size, and `recolour` now and when the colours change. */
-function watchLooks(element, draw, recolour) {
+/** Have `draw` called when a canvas in an element has another size, now too, and when the colours change. */
+function watchLooks(element, draw) {
   const sizes = new ResizeObserver(draw);
   for (const canvas of element.querySelectorAll("canvas")) sizes.observe(canvas);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
-  recolour();
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 }
 
-/** The page's colours as they are now, by their names, each as a canvas understands it. */
-function readColours(element, names = COLOURS) {
-  const probe = element.appendChild(document.createElement("span"));
-  const found = {};
-  for (const name of names) {
-    probe.style.color = `var(--${name})`; // resolves what a property's own text may not: var(), light-dark()
-    found[name] = getComputedStyle(probe).color;
-  }
-  probe.remove();
-  return found;
+/** The page's colours where an element stands, as they are now, by their names. */
+function readColours(element) {
+  const style = getComputedStyle(element);
+  return Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`)]));
 }
 
-/** Black or white, whichever is read more easily on a colour: "#rrggbb" or "rgb(r, g, b)". */
+/** Black or white, whichever is read more easily on a colour "#rrggbb". */
 function inkOn(colour) {
-  const hex = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-  const [red, green, blue] = (colour[0] === "#" ? hex : colour.match(/\d+/g)).map((part) => (part / 255) ** 2.2);
+  const [red, green, blue] = [1, 3, 5].map((at) => (parseInt(colour.slice(at, at + 2), 16) / 255) ** 2.2);
   return 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.18 ? "#000000" : "#ffffff";
 }
 
-/** Fit a canvas to its place on the screen, sharp on any; its context, cleared, in CSS px, and its size. */
+/** Fit a canvas to its place on the screen, sharp on any; its context, cleared, in CSS px, its size and the colours there. */
 function fit(canvas) {
   const sharpness = window.devicePixelRatio || 1;
   const { width, height } = canvas.getBoundingClientRect();
@@ -86,7 +88,7 @@ function fit(canvas) {
   const context = canvas.getContext("2d");
   context.setTransform(sharpness, 0, 0, sharpness, 0, 0);
   context.clearRect(0, 0, width, height);
-  return { context, width, height };
+  return { context, width, height, colours: readColours(canvas) };
 }
 
 function disc(context, x, y, radius) {
@@ -217,125 +219,76 @@ function drawFlight(context, world, drone, thick, given) {
 /**
  * The arena from above, its circles and its drones in their order.
  *
- * A circle is [x, y, radius], with [vx, vy] if it moves; the goal [x, y], if there is one.
+ * A circle is [x, y, radius], with [vx, vy] if it moves; a pale one [x, y, radius, opacity]; the goal [x, y], if there is one.
  * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it senses; perhaps
  * `crashed`, `sign` (a character), `accent` (its colour) and `ink` (on it), `faint` where its sensor is not to be shown,
  * and `fades` where its trail does.
  */
-function drawArena(canvas, { world, circles, goal, drones, colours }) {
-  const { context, width } = fit(canvas);
+function drawArena(canvas, { world, circles, pale = [], goal, drones }) {
+  const { context, width, colours } = fit(canvas);
   const scale = width / world.width;
   context.fillStyle = colours.bg;
   context.fillRect(0, 0, width, scale * world.height);
   context.transform(scale, 0, 0, -scale, 0, scale * world.height); // the one place where y is flipped
   context.lineCap = context.lineJoin = "round";
   context.fillStyle = colours.obstacle;
+  for (const [x, y, radius, opacity] of pale) {
+    context.globalAlpha = opacity;
+    disc(context, x, y, radius);
+  }
+  context.globalAlpha = 1;
   for (const [x, y, radius] of circles) disc(context, x, y, radius);
   drawBorder(context, world, colours);
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
   for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
   if (goal) drawGoal(context, world, goal, thick, colours);
   for (const drone of drones) drawFlight(context, world, drone, thick, colours);
-  return { context, thick };
+  return { context, thick, colours };
 }
 
 function colourOf(share) {
-  const place = Math.min(Math.max(share, 0), 1) * (CIVIDIS.length - 1);
+  const place = clamp(share, 0, 1) * (CIVIDIS.length - 1);
   const low = Math.min(Math.floor(place), CIVIDIS.length - 2);
   const mix = CIVIDIS[low].map((part, index) => Math.round(part + (place - low) * (CIVIDIS[low + 1][index] - part)));
   return `rgb(${mix.join(" ")})`;
 }
 
-/** Where each action stands: left turns to the left, and the longer way the higher; of a box so in each pitch. */
-function gridOf(actions) {
+/**
+ * Give a picture of values (values.html) a square for each action: left turns to the left, and the longer way the higher;
+ * of a box so in each pitch.
+ */
+function layOut(picture, actions) {
   const all = (part) => [...new Set(actions.map(part))].sort((a, b) => b - a);
   const [turns, ways, pitches] = [all((action) => action[0]), all((action) => action.at(-1)), all(pitchOf)];
-  const rowOf = (action) => ways.length * pitches.indexOf(pitchOf(action)) + ways.indexOf(action.at(-1));
   const flat = pitches.length === 1;
-  const marks = flat ? ways.map(String) : pitches.map((pitch) => fixed(pitch, 0));
-  const title = flat ? "distance [px]" : `pitch [°], in each ${ways.join(", ")} px`;
-  const cells = actions.map((action) => [turns.indexOf(action[0]), rowOf(action)]);
-  return { turns, rows: ways.length * pitches.length, marks, title, cells };
-}
-
-function signed(degrees) {
-  return degrees === 0 ? "0" : `${Math.abs(degrees)}°`;
-}
-
-function drawAxes(context, grid, { left, top, side }, colours) {
-  const [across, down] = [side / grid.turns.length, side / grid.marks.length];
-  context.fillStyle = colours.fg;
-  context.textBaseline = "middle";
-  context.textAlign = "center";
-  grid.turns.forEach((turn, place) => context.fillText(signed(turn), left + (place + 0.5) * across, top + side + 11));
-  context.textAlign = "right";
-  grid.marks.forEach((mark, place) => context.fillText(mark, left - 6, top + (place + 0.5) * down));
-  context.textAlign = "left";
-  context.fillText("← turn left", left, top + side + 29);
-  context.textAlign = "right";
-  context.fillText("turn right →", left + side, top + side + 29);
-  context.save();
-  context.translate(9, top + side / 2);
-  context.rotate(-Math.PI / 2);
-  context.textAlign = "center";
-  context.fillText(grid.title, 0, 0);
-  context.restore();
-}
-
-function drawLegend(context, { low, high }, { left, top, side }, colours) {
-  const [bar, y] = [12, top + side + 48];
-  const gradient = context.createLinearGradient(left, 0, left + side, 0);
-  CIVIDIS.forEach((_, place) => {
-    const share = place / (CIVIDIS.length - 1);
-    gradient.addColorStop(share, colourOf(share));
+  const fill = (part, texts) => {
+    const made = texts.map((textContent) => Object.assign(document.createElement("span"), { textContent }));
+    picture.querySelector(`.values-${part}`).replaceChildren(...made);
+    return made;
+  };
+  fill("title", [flat ? "distance [px]" : `pitch [°], in each ${ways.join(", ")} px`]);
+  fill("marks", flat ? ways : pitches.map((pitch) => fixed(pitch, 0)));
+  fill("turns", turns.map((turn) => (turn === 0 ? "0" : `${Math.abs(turn)}°`)));
+  fill("actions", actions.map(() => "")).forEach((square, place) => {
+    const action = actions[place];
+    const row = ways.length * pitches.indexOf(pitchOf(action)) + ways.indexOf(action.at(-1));
+    square.style.gridArea = `${row + 1} / ${turns.indexOf(action[0]) + 1}`;
   });
-  context.fillStyle = gradient;
-  context.fillRect(left, y, side, bar);
-  context.strokeStyle = colours.muted;
-  context.lineWidth = 1;
-  context.strokeRect(left, y, side, bar);
-  context.fillStyle = colours.fg;
-  context.textAlign = "left";
-  context.fillText(short(low), left, y + bar + 11);
-  context.textAlign = "right";
-  context.fillText(short(high), left + side, y + bar + 11);
-}
-
-/** Two frames, a dark and a bright one, so that one of them is seen on any colour. */
-function outline(context, x, y, width, height) {
-  for (const [inset, colour] of [[0, "#000"], [2, "#fff"]]) {
-    context.lineWidth = 2;
-    context.strokeStyle = colour;
-    context.strokeRect(x + inset, y + inset, width - 2 * inset, height - 2 * inset);
-  }
+  const colours = CIVIDIS.map((colour) => `rgb(${colour.join(" ")})`);
+  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours.join(", ")})`;
 }
 
 /**
- * One square an action, the chosen one framed: `shares` of the way from the value `low` to `high`. Without shares it has
- * the words that `instead` gives.
+ * Colour the squares of a picture, each by its `shares` of the way from the value `low` to `high`, and frame the chosen one.
+ * Without shares it has the words that `instead` gives.
  */
-function drawValues(canvas, { grid, colours, font, instead, shares, chosen, low, high }) {
-  const { context, width } = fit(canvas);
-  const place = { left: 36, top: 4, side: width - 40 };
-  const [across, down] = [place.side / grid.turns.length, place.side / grid.rows];
-  context.font = font;
-  drawAxes(context, grid, place, colours);
-  context.lineWidth = 1;
-  context.strokeStyle = colours.muted;
-  context.strokeRect(place.left, place.top, place.side, place.side);
-  const corner = ([column, row]) => [place.left + column * across, place.top + row * down];
-  if (shares) {
-    const gap = 1; // [px] between two actions, so that alike ones can be counted
-    grid.cells.forEach((cell, action) => {
-      context.fillStyle = colourOf(shares(action));
-      const [x, y] = corner(cell);
-      context.fillRect(x + gap / 2, y + gap / 2, across - gap, down - gap);
-    });
-    drawLegend(context, { low, high }, place, colours);
-  } else {
-    context.textAlign = "center";
-    context.fillStyle = colours.muted;
-    context.fillText(instead, place.left + place.side / 2, place.top + place.side / 2);
-  }
-  if (chosen !== undefined) outline(context, ...corner(grid.cells[chosen]), across, down);
+function showValues(picture, { instead = "", shares, chosen, low, high }) {
+  [...picture.querySelector(".values-actions").children].forEach((square, action) => {
+    square.style.background = shares ? colourOf(shares(action)) : "";
+    square.classList.toggle("chosen", action === chosen);
+  });
+  picture.querySelector(".values-legend").style.visibility = shares ? "visible" : "hidden";
+  say(picture.querySelector(".values-low"), shares ? short(low) : "");
+  say(picture.querySelector(".values-high"), shares ? short(high) : "");
+  say(picture.querySelector(".values-instead"), instead);
 }

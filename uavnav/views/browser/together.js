@@ -14,25 +14,18 @@ const REST = 1.5; // [s] after the last episode of a layout
 class Together {
   constructor(root, data) {
     this.data = data;
-    this.root = root;
     this.drones = [...root.querySelectorAll("figure")].map((figure, place) => ({
       canvas: figure.querySelector("canvas"),
       output: figure.querySelector("output"),
       episodes: data.drones[place].episodes,
-      figure,
     }));
     this.button = root.querySelector("button");
     this.playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.button.addEventListener("click", () => this.toggle());
-    watchLooks(root, () => this.draw(), () => this.recolour());
-    const palette = new MutationObserver(() => this.recolour()); // the button of a site
+    watchLooks(root, () => this.draw());
+    const palette = new MutationObserver(() => this.draw()); // the button of a site
     palette.observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
     this.load(0);
-  }
-
-  recolour() {
-    for (const drone of this.drones) drone.colours = readColours(drone.figure);
-    this.draw();
   }
 
   /** Unpack the episodes on a layout, and begin. */
@@ -74,12 +67,12 @@ class Together {
 
   draw() {
     if (this.step === undefined) return;
-    for (const { canvas, output, episode, read, colours } of this.drones) {
+    for (const { canvas, output, episode, read } of this.drones) {
       const step = Math.min(this.step, episode.steps);
       const crashed = crashedAt(episode, step);
       const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed, fades: true };
       if (crashed) drone.sensed = [];
-      drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.layout], drones: [drone], colours });
+      drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.layout], drones: [drone] });
       const reward = `reward ${fixed(read.reward(step), 1)}`;
       const at = step.toLocaleString("en");
       const ended = step < episode.steps ? `step ${at}` : crashed ? `collided at step ${at}` : `stopped at step ${at}`;

@@ -29,7 +29,13 @@ function clamp(value, low, high) {
 /** An action's turn [degrees, left positive] and distance [px]: eqs (11) and (12). */
 function decode(world, action) {
   const turn = Math.floor(action / world.n_distances);
-  return [turn <= Math.floor(world.n_turns / 2) ? turn : turn - world.n_turns, action % world.n_distances];
+  return [turn <= furthestTurns(world)[1] ? turn : turn - world.n_turns, action % world.n_distances];
+}
+
+/** The furthest turns of an action [degrees, left positive]: to the right, and to the left. */
+function furthestTurns(world) {
+  const left = Math.floor(world.n_turns / 2);
+  return [left + 1 - world.n_turns, left];
 }
 
 /** The action of a turn and a distance: `decode` backwards. */
@@ -126,11 +132,15 @@ function planeAxes(angle) {
  * axes: the drone's own in the world; slots: a part along each of them, then the proximity.
  */
 function sensedPoints(world, place, axes, slots) {
-  const filled = slots.filter((slot) => slot.slice(0, -1).some(Boolean));
-  return filled.map((slot) => {
+  return slots.filter(isFilled).map((slot) => {
     const reach = world.drone_radius + slot.at(-1) * (world.sensor_radius - world.drone_radius);
     return place.map((at, axis) => at + reach * axes.reduce((sum, own, part) => sum + slot[part] * own[axis], 0));
   });
+}
+
+/** Whether a slot has a direction: an empty one has none, nor has one of what is at the drone's own place. */
+function isFilled(slot) {
+  return slot.slice(0, -1).some(Boolean);
 }
 
 /** The slots [right, forward, proximity] of an observation. */

@@ -169,9 +169,10 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
 
 def _policies(path: str, seed: int | None, activation: str | None, most: int) -> list[Policy]:
     """Those of a run's lowest seeds, at most so many; of one seed, or of a zip, the one that there is."""
-    if seed is not None or is_zip(path) or not os.path.exists(path):
+    if is_zip(path):
         return [policies.load_policy(path, seed, False, activation)]
-    return [*itertools.islice(policies.each_policy(path, None, False), max(1, min(SEEDS, most)))]
+    own = policies.each_policy(path, None if seed is None else [seed], False)
+    return [*itertools.islice(own, max(1, min(SEEDS, most)))]
 
 
 def _checked(path: str, policy: Policy) -> Policy:
@@ -327,12 +328,16 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     configurations = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
     return environment.from_string((HERE / "playground.html").read_text(encoding="utf-8")).render(
-        css=Markup(browser.joined([HERE / "playground.css"])),
+        css=Markup(browser.joined([browser.HERE / "values.css", HERE / "playground.css"])),
         js=Markup(browser.joined([*browser.WORLD, *SCRIPTS])),
         data=browser.as_json(data),
         metrics=metrics,
         settings=sliders,
         about=ABOUT,
+        splits=[*dict.fromkeys(itertools.chain(*data["layouts"].values())), "random"],
+        scripted=SCRIPTED,
+        policies=found,
+        values=browser.VALUES,
         world=World(),
         others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
         told=f"It contains {len(found)} trained networks: {configurations} pairs of an algorithm and an "

@@ -11,7 +11,6 @@
 const YOU = "you";
 const NOBODY = "nobody";
 const RANDOM = "random";
-const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const MOST_DRONES = 4;
 const MOST_CIRCLES = 48;
 const LAST_NUMBER = 2 ** 32 - 1; // of random layouts and of seeds
@@ -38,26 +37,28 @@ function readCircles(world, text) {
   return circles.length <= MOST_CIRCLES && circles.every(Boolean) ? circles : undefined;
 }
 
-function readPilots(known, text) {
+/** A text that is a choice of a list of the page. */
+function readChoice(list, text) {
+  return [...document.getElementById(list).options].find(({ value }) => value === text)?.value;
+}
+
+function readPilots(text) {
   const pilots = text.split("~");
-  const right = pilots.length === MOST_DRONES && pilots.every((pilot) => known.includes(pilot));
+  const right = pilots.length === MOST_DRONES && pilots.every((pilot) => readChoice("pilot", pilot));
   return right && pilots.filter((pilot) => pilot === YOU).length <= 1 ? pilots : undefined;
 }
 
-/**
- * How each part of a scene is read from a text: undefined where it is not right. settings: the page's; known: names of
- * those who can fly; splits: names of layouts; world: whose circles they are.
- */
-function readers(settings, { known, splits, world }) {
+/** How each part of a scene is read from a text: undefined where it is not right. world: whose circles they are. */
+function readers(settings, world) {
   const parts = {
-    task: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
-    layouts: (text) => (splits.includes(text) ? text : undefined),
+    task: (text) => readChoice("task", text),
+    layouts: (text) => readChoice("layouts", text),
     layout: (text) => readNumber(text, { high: LAST_NUMBER }),
     k: (text) => readNumber(text, { high: MOST_CIRCLES }),
     circles: (text) => readCircles(world, text),
-    pilots: (text) => readPilots(known, text),
+    pilots: readPilots,
     focus: (text) => readNumber(text, { low: 1, high: MOST_DRONES }),
-    speed: (text) => SPEEDS.find((speed) => String(speed) === text),
+    speed: (text) => readChoice("speed", text) && Number(text),
     greedy: (text) => (["yes", "no"].includes(text) ? text === "yes" : undefined),
     seed: (text) => readNumber(text, { high: LAST_NUMBER }),
   };

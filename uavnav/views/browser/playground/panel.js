@@ -4,11 +4,6 @@
 
 const ENDS = { "": "flying", collision: "crashed", goal: "arrived", "time-out": "time limit" };
 
-/** A text of an element, written only where it is another. */
-function say(element, text) {
-  if (element.textContent !== text) element.textContent = text;
-}
-
 /** A drone's pilot in a word, and more of it in another: ["PPO", "tanh"]. */
 function nameOf(pilot, policies) {
   const policy = policies.find(({ key }) => key === pilot);
@@ -43,50 +38,37 @@ function drawWay(context, [x, y], [right, forward], away, colours) {
  * What a drone senses. Above, in its own frame: itself below, ahead of it up. Below, a bar a slot, the higher the nearer.
  * way: to the goal, if there is one: right, forward [-1 to 1] and away [px].
  */
-function drawSlots(canvas, { world, slots, way, mine, colours, font }) {
-  const { context, width, height } = fit(canvas);
+function drawSlots(canvas, { world, slots, way, mine }) {
+  const { context, width, height, colours } = fit(canvas);
   const scale = width / 2 / (1.05 * world.sensor_radius);
   const [x, y] = [width / 2, 1.05 * scale * world.sensor_radius];
-  const half = (radius) => {
-    context.beginPath();
-    context.arc(x, y, radius * scale, Math.PI, 2 * Math.PI);
-    context.closePath();
-  };
-  half(world.sensor_radius);
-  context.fillStyle = context.strokeStyle = mine;
-  context.globalAlpha = 0.15;
-  context.fill();
-  context.globalAlpha = 1;
-  context.lineWidth = 1;
-  context.stroke();
-  half(world.drone_radius);
-  context.fill();
+  const pose = { x: 0, y: 0, angle: Math.PI / 2 };
+  const sensed = sensedPoints(world, [0, 0], planeAxes(pose.angle), slots);
+  context.save();
+  context.beginPath();
+  context.rect(0, 0, width, y);
+  context.clip();
+  context.transform(scale, 0, 0, -scale, x, y);
+  drawFlight(context, world, { pose, trail: [], sensed, accent: mine }, 0.7 / scale, colours);
+  context.restore();
+  if (way) drawWay(context, [x, y], way, scale * Math.min(way[2], 0.9 * world.sensor_radius), colours);
   const foot = height - 15;
   const step = width / slots.length;
-  if (way) drawWay(context, [x, y], way, scale * Math.min(way[2], 0.9 * world.sensor_radius), colours);
-  context.font = font;
+  context.font = `12px ${getComputedStyle(canvas).fontFamily}`;
   context.textAlign = "center";
   context.textBaseline = "middle";
-  slots.forEach(([right, forward, proximity], place) => {
-    const filled = right !== 0 || forward !== 0;
-    const reach = scale * (world.drone_radius + proximity * (world.sensor_radius - world.drone_radius));
-    context.fillStyle = colours.fg;
-    if (filled) {
-      line(context, [[x, y], [x + reach * right, y - reach * forward]], 1, colours.fg);
-      disc(context, x + reach * right, y - reach * forward, 3.5);
-    }
-    const bar = filled ? Math.max(1, (1 - proximity) * (foot - y - 8)) : 0;
+  slots.forEach((slot, place) => {
+    context.fillStyle = isFilled(slot) ? colours.fg : colours.muted;
+    const bar = isFilled(slot) ? Math.max(1, (1 - slot[2]) * (foot - y - 8)) : 0;
     context.fillRect((place + 0.15) * step, foot - bar, 0.7 * step, bar);
-    context.fillStyle = filled ? colours.fg : colours.muted;
     context.fillText(String(place + 1), (place + 0.5) * step, foot + 9);
   });
   line(context, [[0, foot], [width, foot]], 1, colours.muted);
 }
 
 /** The hidden layers side by side, a square a unit. */
-function drawUnits(canvas, { layers, colours, font }) {
+function drawUnits(canvas, layers) {
   const { context, width, height } = fit(canvas);
-  context.font = font;
   const gap = 0.06 * width;
   const share = (width - gap * (layers.length - 1)) / layers.length;
   layers.forEach((units, layer) => {
@@ -99,11 +81,6 @@ function drawUnits(canvas, { layers, colours, font }) {
       context.fillRect(layer * (share + gap) + column * side, row * side, side - 0.5, side - 0.5);
     });
   });
-  if (layers.length) return;
-  context.fillStyle = colours.muted;
-  context.textAlign = "center";
-  context.textBaseline = "middle";
-  context.fillText("none", width / 2, height / 2);
 }
 
 class Panel {
@@ -113,7 +90,7 @@ class Panel {
     this.world = data.tasks.drone.world; // whose drone every world has
     const { n_turns, n_distances } = this.world;
     this.actions = Array.from({ length: n_turns * n_distances }, (_, action) => decode(this.world, action));
-    this.grid = gridOf(this.actions);
+    layOut(find("values"), this.actions);
     this.seats = [...document.querySelectorAll(".seat")];
     this.rows = [...document.querySelectorAll("[data-metric]")].map((row) => [
       data.metrics.find(({ name }) => name === row.dataset.metric),
@@ -136,8 +113,7 @@ class Panel {
   }
 
   showRace(race) {
-    const inRace = race.drones.filter(({ pilot }) => race.canFly(pilot));
-    const most = Math.max(...inRace.map(({ state }) => state.reward));
+    const most = Math.max(...race.flown.map(({ state }) => state.reward));
     race.drones.forEach(({ pilot, state, ended }, place) => {
       const away = !race.canFly(pilot);
       const waits = pilot === YOU && !race.begun && !ended;
@@ -152,7 +128,7 @@ class Panel {
   }
 
   /** The instruments of one drone of a race. */
-  showDrone(race, place, mine, colours, font) {
+  showDrone(race, place, mine) {
     const drone = race.drones[place];
     const policy = race.policyOf(drone.pilot);
     const { action, shown, low, high, hidden = [] } = drone.thought;
@@ -162,14 +138,14 @@ class Panel {
     say(this.find("values-title"), subject);
     const values = this.find("values");
     const shares = shown && ((one) => (shown[one] - low) / (high - low || 1));
-    drawValues(values, { grid: this.grid, colours, font, instead: "", shares, chosen, low, high });
+    showValues(values, { shares, chosen, low, high });
     values.setAttribute("aria-label", `${subject}${words}`);
     const slots = slotsOf(this.world, drone.observation);
     const [right, forward, away] = drone.observation.subarray(3 * this.world.n_slots);
     const way = right === undefined ? undefined : [right, forward, away * race.task.rules.scale];
-    const filled = slots.filter(([right, forward]) => right !== 0 || forward !== 0).length;
+    const filled = slots.filter(isFilled).length;
     const sensor = this.find("sensor");
-    drawSlots(sensor, { world: this.world, slots, way, mine, colours, font });
+    drawSlots(sensor, { world: this.world, slots, way, mine });
     const goal = way ? `; the goal at ${fixed(way[2], 0)} px` : "";
     const edge = `; the nearest edge at ${fixed(drone.clearance, 0)} px${goal}`;
     sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled${edge}`);
@@ -177,6 +153,6 @@ class Panel {
     const said = hidden.length ? "its hidden units, the greater the brighter" : "hidden units: none";
     say(this.find("units-title"), said);
     this.find("units").setAttribute("aria-label", said);
-    drawUnits(this.find("units"), { layers: hidden, colours, font });
+    drawUnits(this.find("units"), hidden);
   }
 }

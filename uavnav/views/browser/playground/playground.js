@@ -17,9 +17,7 @@ class Playground {
   constructor(data) {
     this.data = data;
     this.find = (id) => document.getElementById(id);
-    const known = [YOU, NOBODY, ...Object.keys(SCRIPTED), ...data.policies.map(({ key }) => key)];
-    const splits = [...new Set(Object.values(data.layouts).flatMap((own) => Object.keys(own))), RANDOM];
-    this.read = readers(data.settings, { known, splits, world: data.tasks.drone.world });
+    this.read = readers(data.settings, data.tasks.drone.world);
     this.race = new Race(data, data.scene);
     this.stage = new Stage(this, this.find("stage"));
     this.panel = new Panel(data, this.find);
@@ -27,7 +25,6 @@ class Playground {
     this.playing = false;
     this.share = 1; // of the way from the last poses to these
     this.keyboard = new Keyboard(this);
-    this.build(splits);
     this.listen();
     this.open();
   }
@@ -55,7 +52,6 @@ class Playground {
     this.focusOnFlyer();
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
     this.showScene();
-    this.showControls();
     this.show();
   }
 
@@ -69,8 +65,7 @@ class Playground {
 
   /** The scene into the address. */
   write() {
-    const circles = this.scene.circles ? this.race.circles : null;
-    const address = `#${writeLink({ ...this.scene, circles }, this.data.settings)}`;
+    const address = `#${writeLink(this.scene, this.data.settings)}`;
     if (location.hash !== address) history.replaceState(null, "", address);
   }
 
@@ -86,37 +81,10 @@ class Playground {
 
   tell(words) {
     say(this.find("notice"), words);
-    this.find("notice").hidden = !words;
-  }
-
-  build(splits) {
-    const { policies } = this.data;
-    const group = (label, options) => {
-      const made = Object.assign(document.createElement("optgroup"), { label });
-      made.append(...options);
-      return made;
-    };
-    const algorithms = [...new Set(policies.map(({ algorithm }) => algorithm))].map((algorithm) => {
-      const mine = policies.filter((policy) => policy.algorithm === algorithm);
-      return group(algorithm.toUpperCase(), mine.map(({ key, title }) => new Option(title, key)));
-    });
-    const scripted = Object.keys(SCRIPTED).map((name) => new Option(name, name));
-    const people = [new Option("you", YOU), new Option("nobody", NOBODY)];
-    this.find("pilot").append(...people, group("scripted policies", scripted), ...algorithms);
-    this.find("speed").append(...SPEEDS.map((speed) => new Option(`${speed}×`, speed)));
-    this.find("layouts").append(...splits.map((name) => new Option(name, name)));
-    for (const [keys, does] of KEYS) {
-      const row = this.find("keys").insertRow();
-      row.innerHTML = "<th scope=row></th><td></td>";
-      [keys, does].forEach((words, place) => say(row.cells[place], words));
-    }
   }
 
   listen() {
-    for (const button of document.querySelectorAll("[data-act]")) {
-      const { act, by = "" } = button.dataset;
-      button.addEventListener("click", () => this[act](...by.split(" ").filter(Boolean).map(Number)));
-    }
+    for (const button of document.querySelectorAll("button[data-act]")) button.addEventListener("click", () => this.act(button));
     this.controls = [...document.querySelectorAll("[data-scene]")];
     for (const control of this.controls) {
       const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
@@ -124,12 +92,17 @@ class Playground {
     }
     this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
     addEventListener("hashchange", () => this.open());
-    watchLooks(document.body, () => this.show(), () => this.recolour());
+    watchLooks(document.body, () => this.show());
+  }
+
+  /** Do what a button or a key says. */
+  act({ dataset: { act, by = "" } }) {
+    this[act](...by.split(" ").filter(Boolean).map(Number));
   }
 
   /** What the pointer or the keys steer in the next step. */
   steer() {
-    const yours = this.race.drones[this.race.yours];
+    const { yours } = this.race;
     const { target } = this.stage;
     this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
   }
@@ -137,9 +110,9 @@ class Playground {
   /** The person steers: the first key or touch begins the race, and brings that drone into focus. */
   begin() {
     const { race } = this;
-    if (race.yours < 0 || race.drones[race.yours].ended) return;
+    if (!race.yours || race.yours.ended) return;
     const still = race.steps === 0 || !race.flying().length; // time stands, and nobody stopped it
-    if (!race.begun) this.focusOn(race.yours + 1);
+    if (!race.begun) this.focusOn(race.yours.place + 1);
     race.begin();
     if (still && !this.playing) this.start();
   }
@@ -148,8 +121,7 @@ class Playground {
   change(parts, fromTheStart = false) {
     if (fromTheStart) {
       if (this.race.begun) this.playing = false; // who flies begins with a key
-      const drawn = this.scene.circles ? this.race.circles : null;
-      this.load({ ...this.scene, circles: drawn, ...parts });
+      this.load({ ...this.scene, ...parts });
     } else Object.assign(this.scene, parts);
     this.changed();
   }
@@ -160,7 +132,6 @@ class Playground {
     this.later = setTimeout(() => this.write(), ADDRESS);
     this.tell("");
     this.showScene();
-    this.showControls();
     this.show();
   }
 
@@ -181,10 +152,9 @@ class Playground {
     this.changed();
   }
 
-  /** Where the drone in focus is none of those that can fly, or of those given, the first of them is in focus. */
-  focusOnFlyer(drones = this.race.drones.filter(({ pilot }) => this.race.canFly(pilot))) {
-    if (!drones.length || drones.includes(this.race.drones[this.focus])) return;
-    this.scene.focus = this.race.drones.indexOf(drones[0]) + 1;
+  /** Where the drone in focus is none of those in the race, or of those given, the first of them is in focus. */
+  focusOnFlyer(drones = this.race.flown) {
+    if (drones.length && !drones.includes(this.race.drones[this.focus])) this.scene.focus = drones[0].place + 1;
   }
 
   again() {
@@ -202,9 +172,11 @@ class Playground {
     this.set("layout", String((this.scene.layout + more + this.count) % this.count));
   }
 
-  paced(by) {
-    const place = clamp(SPEEDS.indexOf(this.scene.speed) + by, 0, SPEEDS.length - 1);
-    this.change({ speed: SPEEDS[place] });
+  /** Faster or slower; while drawing, the circle larger or smaller. */
+  scale(by) {
+    if (this.stage.drawing) return this.alter(0, 0, by * STRIDE.size);
+    const { options, selectedIndex } = this.find("speed");
+    return this.set("speed", options[clamp(selectedIndex + by, 0, options.length - 1)].value);
   }
 
   focusOn(focus) {
@@ -242,7 +214,6 @@ class Playground {
     }
     stage.select(stage.drawing && race.circles.length ? 0 : -1);
     document.body.classList.toggle("drawing", stage.drawing);
-    this.showControls();
     this.show();
   }
 
@@ -266,6 +237,7 @@ class Playground {
 
   /** A new circle somewhere, for those who do not point. */
   addFree() {
+    if (!this.stage.drawing) return;
     const { circles, free } = this.race;
     const some = generate(this.world, 100, this.scene.layout + 1000 * (circles.length + 1));
     const isNew = ([x, y]) => circles.every((other) => Math.hypot(other[0] - x, other[1] - y) > 1);
@@ -308,7 +280,7 @@ class Playground {
     const none = "There is no new episode to keep: fly one on a test layout of the paper's task to its end.";
     this.rows = [];
     this.tell(count ? `human.csv has your episodes: ${count}. For a report: uavnav play --keep human.csv` : none);
-    this.showControls();
+    this.show();
   }
 
   /** Save the obstacles as a layout file. */
@@ -331,7 +303,6 @@ class Playground {
     if (!this.race.flying().length) return;
     if (!this.race.begun) this.focusOnFlyer(this.race.flying());
     this.playing = true;
-    this.showControls();
     everyPicture(this, (seconds) => this.frame(seconds));
   }
 
@@ -343,7 +314,6 @@ class Playground {
   pause() {
     this.playing = false;
     this.share = 1;
-    this.showControls();
     this.show();
   }
 
@@ -372,57 +342,50 @@ class Playground {
     this.rows.push(...ended.map((drone) => rowOf(this.race, drone, this.data.limit)).filter(Boolean));
     if (ended.length) {
       this.describe();
-      this.showControls();
+      this.show();
     }
     if (!this.race.flying().length) this.pause();
-  }
-
-  /** The page's colours as they are now: those of its ground, and those of its cards. */
-  recolour() {
-    this.colours = readColours(this.stage.element);
-    this.cardColours = readColours(document.querySelector("aside > section"));
-    this.font = `12px ${getComputedStyle(document.body).fontFamily}`;
-    this.showControls();
-    this.show();
   }
 
   /** The colour of each drone's pilot. */
   get pilots() {
     const { policies, colours } = this.data;
-    return coloursOf(this.race.drones.map(({ pilot }) => pilot), policies, colours, this.colours.fg);
+    return coloursOf(this.race.drones.map(({ pilot }) => pilot), policies, colours, readColours(document.body).fg);
   }
 
-  /** Everything that moves. */
+  /** Everything but the scene's own controls. */
   show() {
-    this.stage.draw(this.share, this.focus, this.colours);
-    this.panel.showRace(this.race);
-    this.panel.showDrone(this.race, this.focus, this.pilots[this.focus], this.cardColours, this.font);
+    const { race, panel, pilots } = this;
+    this.stage.draw(this.share, this.focus);
+    panel.showSeats(race, this.focus, pilots);
+    panel.showRace(race);
+    panel.showDrone(race, this.focus, pilots[this.focus]);
+    this.showTime();
+    this.showPilot();
+    this.showWorld();
+    this.showBanner();
   }
 
   /** The scene's own controls: only when it changes, for a number may be half typed. */
   showScene() {
+    this.find("layout").max = this.count - 1;
     for (const control of this.controls) {
       if (control.type === "checkbox") control.checked = this.scene[control.id];
       else control.value = this.scene[control.id];
     }
   }
 
-  showControls() {
+  /** Whether time goes, and how to steer or to draw. */
+  showTime() {
     const { race, stage, find } = this;
     say(find("play"), this.playing ? "Pause" : "Play");
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
-    find("drawing").hidden = !stage.drawing;
-    const yours = race.yours + 1;
-    const steering = yours
-      ? `Drone ${yours} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
+    const steering = race.yours
+      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
       : "To fly by hand, choose a drone and take it.";
     const where = race.task.moves ? " They move when you play." : "";
     const drawing = `Drag on free ground for a new circle, inside one to move it, at its edge to size it.${where}`;
     say(find("hint"), stage.drawing ? drawing : `${steering} Space pauses.`);
-    this.showPilot();
-    this.showWorld();
-    this.showBanner();
-    this.panel.showSeats(race, this.focus, this.pilots);
   }
 
   /** Who flies the drone in focus, or will from the next start. */
@@ -433,8 +396,10 @@ class Playground {
     say(find("take"), next === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
     say(find("focus-number"), String(scene.focus));
     say(find("acts"), `${ended}${race.policyOf(next)?.told ?? ""}`);
-    find("pilot").value = next;
-    for (const option of find("pilot").options) option.disabled = option.value !== NOBODY && !race.canFly(option.value);
+    for (const option of find("pilot").options) {
+      option.selected = option.value === next;
+      option.disabled = option.value !== NOBODY && !race.canFly(option.value);
+    }
   }
 
   /** The task with its layouts, sliders and faults. */
@@ -442,7 +407,6 @@ class Playground {
     const { race, scene, find } = this;
     const { settings, policies, about, layouts } = this.data;
     for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
-    find("layout").max = this.count - 1;
     find("k").value = race.circles.length;
     find("k").disabled = this.stage.drawing;
     find("k").closest("label").hidden = scene.task === "slalom";
@@ -456,21 +420,19 @@ class Playground {
     const able = !policies.length || policies.some(({ key }) => race.canFly(key));
     const told = able ? "" : " No network here has learned that: you and the scripted policy fly.";
     say(find("told"), `${about[scene.task].told}${told}`);
-    find("told").hidden = !find("told").textContent;
   }
 
   /** Over the arena: how to begin, or how it ended and what one can do next. */
   showBanner() {
     const { race, find } = this;
-    const mine = race.drones[race.yours];
-    const inRace = race.drones.filter(({ pilot }) => race.canFly(pilot));
+    const mine = race.yours;
     const atStart = !this.playing && race.steps === 0;
     const over = race.steps > 0 && !race.flying().length;
     let words = "";
     if (atStart) words = mine ? "Press an arrow key to fly, Space to watch." : "Press Space to watch.";
     else if (mine?.ended) words = `You ${WAYS_TO_END[mine.ended]}: step ${mine.state.steps}, reward ${fixed(mine.state.reward, 1)}.`;
-    else if (over) words = inRace.every(({ ended }) => ended === "collision") ? "All have crashed." : "The race is over.";
-    find("banner").hidden = !words || this.stage.drawing || !inRace.length;
+    else if (over) words = race.flown.every(({ ended }) => ended === "collision") ? "All have crashed." : "The race is over.";
+    find("banner").hidden = !words || this.stage.drawing || !race.flown.length;
     say(find("banner-words"), words);
     find("banner-touch").hidden = !atStart || !mine;
     find("banner-next").parentElement.hidden = atStart;
@@ -480,13 +442,13 @@ class Playground {
   /** Words for those who do not see the arena: after a step, and when an episode ends. */
   describe() {
     const flying = this.race.flying();
-    const words = this.race.drones.map((drone, place) => {
-      const { pilot, state, ended } = drone;
+    const words = this.race.flown.map((drone) => {
+      const { place, pilot, state, ended } = drone;
       const [who, more] = nameOf(pilot, this.data.policies);
       const how = ended ? ENDS[ended] : flying.includes(drone) ? "flies" : "waits";
-      return !this.race.canFly(pilot) ? "" : `${place + 1}, ${who} ${more}: ${how}, step ${state.steps}, reward ${fixed(state.reward, 1)}.`;
+      return `${place + 1}, ${who} ${more}: ${how}, step ${state.steps}, reward ${fixed(state.reward, 1)}.`;
     });
-    say(this.find("status"), words.filter(Boolean).join(" "));
+    say(this.find("status"), words.join(" "));
   }
 }
 

@@ -58,9 +58,7 @@ function activated(name, sums, learned) {
 
 /** Base64 of little-endian float32 as numbers. */
 function floats(text) {
-  const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
-  const view = new DataView(bytes.buffer);
-  return Float32Array.from({ length: bytes.length / 4 }, (_, place) => view.getFloat32(4 * place, true));
+  return new Float32Array(bytesOf(text).buffer);
 }
 
 /** Values that LayerNorm centres and scales. */

@@ -58,7 +58,7 @@ class Race {
       const [draw, chance] = [randomNumbers(seed), randomNumbers(seed ^ 0x3c6ef372)]; // of the policy, and of faults
       const state = this.task.start(this.layout, this.task.draw(chance));
       const before = this.drones?.[place].before ?? REACTIVE; // to whom a person hands it back
-      return { pilot, before, state, last: state, trail: [], draw, chance, ended: "", handed: false };
+      return { place, pilot, before, state, last: state, trail: [], draw, chance, ended: "", handed: false };
     });
     this.drones.forEach((drone) => this.look(drone));
   }
@@ -91,8 +91,7 @@ class Race {
 
   /** The person begins to steer: the drone that waited takes off. */
   begin() {
-    const drone = this.drones[this.yours];
-    if (drone && !drone.ended) this.begun = true;
+    if (this.yours && !this.yours.ended) this.begun = true;
   }
 
   greedy(greedy) {
@@ -129,15 +128,20 @@ class Race {
     else drone.thought = think(this.policyOf(pilot), observation, draw, this.scene.greedy);
   }
 
-  /** The place of the person's drone, rather one that flies than one that has ended; -1 where there is none. */
+  /** The person's drone, rather one that flies than one that has ended; undefined where there is none. */
   get yours() {
-    const flying = this.drones.findIndex(({ pilot, ended }) => pilot === YOU && !ended);
-    return flying >= 0 ? flying : this.drones.findIndex(({ pilot }) => pilot === YOU);
+    const yours = this.drones.filter(({ pilot }) => pilot === YOU);
+    return yours.find(({ ended }) => !ended) ?? yours[0];
+  }
+
+  /** Those that are in the race: whose pilots can fly here. */
+  get flown() {
+    return this.drones.filter(({ pilot }) => this.canFly(pilot));
   }
 
   /** Those that are in the race and have not ended. */
   flying() {
-    return this.drones.filter(({ pilot, ended }) => this.canFly(pilot) && !ended && (pilot !== YOU || this.begun));
+    return this.flown.filter(({ pilot, ended }) => !ended && (pilot !== YOU || this.begun));
   }
 
   /** One step of everyone; who is not flown waits where it is. -> the drones that ended in it */

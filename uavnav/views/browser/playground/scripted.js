@@ -4,43 +4,50 @@
 
 const MARGIN = 0.01; // [px] against rounding
 
-/** The slots, each as { right, forward, distance [px] }. */
-function echoesIn(world, observation) {
+/** Slots, each as { right, forward, distance [px] }. */
+function echoesIn(world, slots) {
   const span = world.sensor_radius - world.drone_radius;
   const echo = ([right, forward, proximity]) => ({ right, forward, distance: f32(world.drone_radius + f32(proximity * span)) });
-  return slotsOf(world, observation).map(echo);
+  return slots.map(echo);
 }
 
-const hasDirection = ({ right, forward }) => right !== 0 || forward !== 0; // an empty slot has none
+/** Those that have a direction. */
+function bodiesIn(world, observation) {
+  return echoesIn(world, slotsOf(world, observation).filter(isFilled));
+}
+
+/** How much of [right, forward] lies in the direction of a turn [degrees, left positive]. */
+function along({ right, forward }, degrees) {
+  return forward * Math.cos(radians(degrees)) - right * Math.sin(radians(degrees));
+}
 
 /** Fly straight at full speed where that is certainly safe, else turn left on the spot. */
 function reactive(world, observation) {
   const full = world.n_distances - 1;
-  const safe = echoesIn(world, observation).every(
+  const safe = echoesIn(world, slotsOf(world, observation)).every(
     ({ forward, distance }) => f32(distance - f32(full * forward)) > f32(world.drone_radius + MARGIN),
   );
-  return encode(world, safe ? [0, full] : [Math.floor(world.n_turns / 2), 0]);
+  return encode(world, safe ? [0, full] : [furthestTurns(world)[1], 0]);
 }
 
 /** Turn to the free direction that is nearest to the goal's, and fly as far as is certainly safe. */
 function towardsGoal(world, observation, { scale, bearings, look, spare }) {
   const [right, forward, away] = observation.subarray(3 * world.n_slots);
-  const echoes = echoesIn(world, observation).filter(hasDirection);
+  const echoes = bodiesIn(world, observation);
   const reach = Math.min(away * scale, look);
   const isFree = (bearing) =>
     echoes.every((echo) => {
-      const along = echo.right * Math.sin(radians(bearing)) + echo.forward * Math.cos(radians(bearing));
-      const flown = clamp(echo.distance * along, 0, reach); // where it is nearest
-      const nearest = Math.sqrt(echo.distance ** 2 - 2 * flown * echo.distance * along + flown ** 2);
-      return nearest > world.drone_radius + spare || along <= 0;
+      const closing = along(echo, -bearing);
+      const flown = clamp(echo.distance * closing, 0, reach); // where it is nearest
+      const nearest = Math.sqrt(echo.distance ** 2 - 2 * flown * echo.distance * closing + flown ** 2);
+      return nearest > world.drone_radius + spare || closing <= 0;
     });
   const goal = Math.atan2(right, forward) / radians(1);
   const free = bearings.filter(isFree).map((bearing) => [Math.abs(bearing - goal), bearing]);
   const wanted = free.length ? free.reduce((one, other) => (other[0] < one[0] ? other : one))[1] : -90;
-  const left = Math.floor(world.n_turns / 2);
-  const angle = clamp(-wanted, left + 1 - world.n_turns, left);
+  const angle = clamp(-wanted, ...furthestTurns(world));
   const rooms = echoes.map((echo) => {
-    const closing = -echo.right * Math.sin(radians(angle)) + echo.forward * Math.cos(radians(angle));
+    const closing = along(echo, angle);
     return closing > 0 ? (echo.distance - world.drone_radius - MARGIN) / closing : Infinity;
   });
   const safe = Math.floor(clamp(Math.min(...rooms), 0, world.n_distances - 1));
@@ -49,7 +56,7 @@ function towardsGoal(world, observation, { scale, bearings, look, spare }) {
 
 /** The first action of the way that keeps most clear of what is in view, also if that comes nearer by itself. */
 function dodge(world, observation, { ways, body, drift, enough }) {
-  const echoes = echoesIn(world, observation).filter(hasDirection);
+  const echoes = bodiesIn(world, observation);
   const centres = echoes.map(({ right, forward, distance }) => [right * (distance + body), forward * (distance + body)]);
   let [chosen, most] = [0, -Infinity];
   for (const [places, first, worth] of ways) {
@@ -77,8 +84,8 @@ function steer(world, [right, forward], tolerance) {
   let [chosen, most] = [0, -Infinity];
   for (let action = 0; action < world.n_turns * world.n_distances; action += 1) {
     const [degrees, pixels] = decode(world, action);
-    const along = forward * Math.cos(radians(degrees)) - right * Math.sin(radians(degrees));
-    const score = pixels * (2 * along - pixels) + 0.01 * along;
+    const reached = along({ right, forward }, degrees);
+    const score = pixels * (2 * reached - pixels) + 0.01 * reached;
     if (score > most && !(isAhead && degrees !== 0)) [chosen, most] = [action, score];
   }
   return chosen;
@@ -88,7 +95,7 @@ function steer(world, [right, forward], tolerance) {
 function apf(world, observation, rules) {
   const { gain, reach, tolerance } = rules.classics.apf;
   let [right, forward, away] = targetOf(world, observation, rules);
-  for (const echo of echoesIn(world, observation).filter(hasDirection)) {
+  for (const echo of bodiesIn(world, observation)) {
     const rho = Math.max(echo.distance - world.drone_radius, 1);
     const push = rho > reach ? 0 : (gain * (1 / rho - 1 / reach)) / rho ** 2;
     right -= push * echo.right;
@@ -103,7 +110,7 @@ function vfh(world, observation, rules) {
   const { window, spare, wide, sectors, aside } = rules.classics.vfh;
   const [right, forward, away] = targetOf(world, observation, rules);
   const reach = Math.min(away, window) + world.drone_radius;
-  const near = echoesIn(world, observation).filter((echo) => hasDirection(echo) && echo.distance < reach);
+  const near = bodiesIn(world, observation).filter((echo) => echo.distance < reach);
   const isBlocked = (sector) =>
     near.some((echo) => {
       const half = Math.asin(Math.min((world.drone_radius + spare) / echo.distance, 1));
@@ -119,12 +126,10 @@ function vfh(world, observation, rules) {
     const isOpen = Math.min(left, open) >= wide || Math.abs(left - open) <= 1;
     if (!blocked[at] && isOpen && cost < least) [wanted, least] = [sector, cost];
   });
-  const most = Math.floor(world.n_turns / 2);
-  const angle = clamp(-wanted, most + 1 - world.n_turns, most);
-  const densities = near.map((echo) => {
-    const along = echo.forward * Math.cos(radians(angle)) - echo.right * Math.sin(radians(angle));
-    return Math.max(along, 0) * (1 - (echo.distance - world.drone_radius) / window);
-  });
+  const angle = clamp(-wanted, ...furthestTurns(world));
+  const densities = near.map(
+    (echo) => Math.max(along(echo, angle), 0) * (1 - (echo.distance - world.drone_radius) / window),
+  );
   const pace = (world.n_distances - 1) * (1 - Math.max(0, ...densities)) * Math.max(0, 1 - Math.abs(wanted) / aside);
   return encode(world, [angle, Math.round(pace)]);
 }

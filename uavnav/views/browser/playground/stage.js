@@ -13,9 +13,8 @@ function towards(world, { x, y, heading }, [toX, toY]) {
   const wanted = Math.round(Math.atan2(dy, dx) / radians(1));
   const turn = ((wanted - heading + 900) % 360) - 180;
   if (away < ARRIVED) return [0, 0];
-  const left = Math.floor(world.n_turns / 2);
   const pixels = Math.abs(turn) > SLOW_DOWN ? 1 : clamp(Math.floor(away / 8), 1, world.n_distances - 1);
-  return [clamp(turn, left + 1 - world.n_turns, left), pixels];
+  return [clamp(turn, ...furthestTurns(world)), pixels];
 }
 
 /** A drawn circle of the world's sizes and within it; undefined where it covers a place [x, y, room] that must stay free. */
@@ -58,12 +57,9 @@ class Stage {
     this.canvas.setPointerCapture(event.pointerId);
     if (this.drawing) this.grasp(point);
     else {
-      const { drones } = this.app.race;
-      const near = drones.findIndex(
-        ({ pilot, state }) => this.app.race.canFly(pilot) && Math.hypot(state.x - point[0], state.y - point[1]) < 30,
-      );
-      if (near >= 0) this.app.focusOn(near + 1);
-      if (near >= 0 && drones[near].pilot !== YOU) return;
+      const near = this.app.race.flown.find(({ state }) => Math.hypot(state.x - point[0], state.y - point[1]) < 30);
+      if (near) this.app.focusOn(near.place + 1);
+      if (near && near.pilot !== YOU) return;
       this.target = point;
       this.app.begin();
     }
@@ -120,18 +116,18 @@ class Stage {
   }
 
   /** Draw the moment so much of the way [0 to 1] from each drone's last pose to its pose. focus: place of a drone. */
-  draw(share, focus, colours) {
+  draw(share, focus) {
     const { race, world, pilots } = this.app;
-    const shown = race.drones.map((drone, place) => ({ drone, place })).filter(({ drone }) => race.canFly(drone.pilot));
-    shown.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
-    const drones = shown.map(({ drone, place }) => {
+    const shown = race.flown.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
+    const drones = shown.map((drone) => {
+      const { place } = drone;
       const pose = race.poseAt(drone, drone.ended ? 1 : share);
       const seen = !drone.ended && (place === focus || (drone.pilot === YOU && race.begun));
-      const here = { ...drone.state, angle: radians(drone.state.heading) };
+      const { x, y, heading } = drone.state;
       return {
         pose,
         trail: [...drone.trail, [pose.x, pose.y]],
-        sensed: seen ? sensedPoints(world, [here.x, here.y], planeAxes(here.angle), slotsOf(world, drone.observation)) : [],
+        sensed: seen ? sensedPoints(world, [x, y], planeAxes(radians(heading)), slotsOf(world, drone.observation)) : [],
         crashed: drone.ended === "collision",
         sign: String(place + 1),
         accent: pilots[place],
@@ -140,7 +136,7 @@ class Stage {
       };
     });
     const there = { circles: race.obstaclesAt(share), goal: race.layout.goal };
-    const { context, thick } = drawArena(this.canvas, { world, ...there, drones, colours });
+    const { context, thick, colours } = drawArena(this.canvas, { world, ...there, drones });
     if (this.drawing) this.drawHelp(context, thick, colours);
   }
 

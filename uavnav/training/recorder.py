@@ -311,9 +311,7 @@ class Recorder:
                 if columns:
                     self._tables[table].append(columns)
             for rows in self._tables["episodes"]:
-                for seed, reward in zip(rows["seed"].tolist(), rows["reward"].tolist(), strict=True):
-                    self._recent[seed - self.config.seed].append(reward)
-                self._watch.add(rows)
+                self._see_ended(rows)
             open_now = snapshot.state["parts"]["env"]["state"]["reward"]
             curve = snapshot.facts.get("curve", [])
             self._watch.resume(open_now, frames, curve)
@@ -483,9 +481,7 @@ class Recorder:
         flags = {name: ended[name].squeeze(-1) for name in ("terminated", "truncated")}
         counts = {name: ended["episode", name] for name in ("layout", *COUNTS)}
         self._append_episodes(agent, frame=frame + (time_step + 1) * n_envs, env=env, **counts, **flags)
-        self._watch.add(self._tables["episodes"][-1])
-        for seed_index, reward in zip(agent.tolist(), ended["episode", "reward"].tolist(), strict=True):
-            self._recent[seed_index].append(reward)
+        self._see_ended(self._tables["episodes"][-1])
 
     def add_open_episodes(self, state: State, frame: int) -> None:
         """Keep the episodes that the end of training cut off: rows with neither flag."""
@@ -497,6 +493,12 @@ class Recorder:
     def _append_episodes(self, agent: Tensor, **columns: Tensor) -> None:
         columns["seed"] = agent + self.config.seed
         self._tables["episodes"].append({name: columns[name].cpu().numpy() for name in EPISODE_COLUMNS})
+
+    def _see_ended(self, rows: Columns) -> None:
+        """Take episodes that ended into what the seeds did lately."""
+        self._watch.add(rows)
+        for seed, reward in zip(rows["seed"].tolist(), rows["reward"].tolist(), strict=True):
+            self._recent[seed - self.config.seed].append(reward)
 
     def add_rows(self, episodes: pd.DataFrame, progress: pd.DataFrame) -> None:
         """Keep whole tables of another run's rows."""

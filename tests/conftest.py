@@ -75,7 +75,6 @@ def undrawn(monkeypatch):
 
     monkeypatch.setattr("uavnav.report.figures.draw", lambda *anything: [])
     monkeypatch.setattr(replays.record, "__defaults__", (3, 3, 50))
-    monkeypatch.setattr(replays, "record_apart", replays.record)
 
 
 @pytest.fixture(scope="session")

@@ -49,7 +49,6 @@ def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind()
     others = {
         "uavnav.__main__",
         "uavnav.report.docs",
-        "uavnav.views.replays",
         "uavnav.bench.jobs",
         "uavnav.evaluation.choose",
         "uavnav.cli.episodes",

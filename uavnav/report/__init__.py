@@ -61,7 +61,6 @@ def report(
     from uavnav.report import mine, page  # which fly, and so load torch
     from uavnav.report.configurations import collect
     from uavnav.report.content import gather
-    from uavnav.views.replays import record_apart
 
     tell("loading runs")
     begun = mine.unfinished(read)
@@ -78,7 +77,7 @@ def report(
     if own is not None and own.claims:
         _write_all(where, mine.contents(own, left_out, watched))
         return Written(where / "report.html", [*left_out, *own.left_out])
-    content = gather(read, record_apart, (found[0], left_out), tell)
+    content = gather(read, found=(found[0], left_out), tell=tell)
     tell("writing the page")
     _write_all(where, page.contents(content, read[0], own, watched))
     return Written(where / "report.html", content.left_out)

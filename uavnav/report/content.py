@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -141,9 +140,11 @@ def gather(
     main, of_paper = dealt.main, studies.paper_configurations(dealt.main)
     shown = dict.fromkeys([*of_paper.values(), *studies.elsewhere(configurations)])
     flying = [replays.Trained(one.algorithm, one.activation, one.runs) for one in shown]
-    # what nothing else waits for flies meanwhile
-    with machine.use_threads(1), ThreadPoolExecutor(1) as beside:
-        replayed = beside.submit(fly, flying)
+    with (
+        machine.use_threads(1),
+        machine.forked(lambda: fly(flying)) as replayed,
+        machine.forked(lambda: _apart(folders)) as elsewhere,
+    ):
         tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(dealt)
         baselines, unread = frames.baselines(folders)
@@ -154,9 +155,10 @@ def gather(
             (column, evidence[one], functools.partial(studies.of_paper, definition=one), CLAIMS)
             for column, one in COLUMNS.items()
         ]
-        if of_worlds := worlds.gather(folders):
-            elsewhere = worlds.Evidence(of_worlds.seeds)
-            asks += [(column, elsewhere, studies.of_paper, DISCUSSION) for column in (FINAL, OTHER)]
+        of_worlds, of_studies, unread_apart = elsewhere()
+        if of_worlds:
+            of_tasks = worlds.Evidence(of_worlds.seeds)
+            asks += [(column, of_tasks, studies.of_paper, DISCUSSION) for column in (FINAL, OTHER)]
             left_out += of_worlds.left_out
         audits: dict[str, list[Finding]] = {column: [] for column in COLUMNS}
         errs = []
@@ -204,19 +206,14 @@ def gather(
         if of_worlds:
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
-        for study in (longer, noise, horizon):
-            found_apart, unread_too = evaluations(folders, study.STUDY)
-            numbers |= {study.STUDY: study.table(found_apart)} if found_apart else {}
-            left_out += unread_too
-        for gathered, unread_too in (one.gather(folders) for one in (ambiguities, activations, learned)):
-            numbers |= gathered
-            left_out += unread_too
+        left_out += unread_apart
+        numbers |= of_studies
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
         numbers["operating"] = joined(errs)
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
         tell("flying episodes for the replays")
-        flown = replayed.result()
+        flown = replayed()
     return Content(
         configurations,
         dealt,
@@ -227,6 +224,20 @@ def gather(
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
         of_worlds,
     )
+
+
+def _apart(folders: Sequence[Path]) -> tuple[Worlds | None, dict[str, pd.DataFrame], list[str]]:
+    """The study of further tasks, tables of other studies beside the paper's, and lines for unread ones."""
+    numbers: dict[str, pd.DataFrame] = {}
+    left_out: list[str] = []
+    for study in (longer, noise, horizon):
+        found, unread = evaluations(folders, study.STUDY)
+        numbers |= {study.STUDY: study.table(found)} if found else {}
+        left_out += unread
+    for tables_of, unread in (one.gather(folders) for one in (ambiguities, activations, learned)):
+        numbers |= tables_of
+        left_out += unread
+    return worlds.gather(folders), numbers, left_out
 
 
 def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, list[str]]:

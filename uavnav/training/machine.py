@@ -101,8 +101,12 @@ def forks() -> bool:
 def forked(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
     """Let a fork of this process do some work that uses one thread; what this gives waits for its result.
 
-    The work is done here where the fork failed, and raises here what it raises.
+    The work is done here where this process does not fork, or the fork failed, and raises here what it
+    raises.
     """
+    if not forks():
+        yield work
+        return
     fork = multiprocessing.get_context("fork")
     heard, said = fork.Pipe(duplex=False)
     process = fork.Process(target=_do, args=(work, said), daemon=True)

@@ -12,12 +12,8 @@ from __future__ import annotations
 
 import base64
 import itertools
-import json
-import subprocess
-import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +21,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluation import EPISODES, episodes
 from uavnav.runs import Run
@@ -147,27 +142,6 @@ def record(
 def _sparse(rows: Sequence[Any], shown: Sequence[int]) -> list[Any]:
     """Layouts at their places in a list, with nothing for those that nobody sees."""
     return [rows[place] if place in shown else None for place in range(max(shown) + 1)]
-
-
-def record_apart(configurations: Sequence[Trained]) -> dict[str, Any]:
-    """What `record` gives, by a process of its own, so that a report goes on meanwhile."""
-    asked = [[one.algorithm, one.label, [str(run.path) for run in one.runs]] for one in configurations]
-    told = json.dumps({"plugins": [*plugins.LOADED], "configurations": asked})
-    done = subprocess.run(
-        [sys.executable, "-m", __name__], input=told, stdout=subprocess.PIPE, text=True, check=False
-    )
-    return dict(json.loads(done.stdout)) if done.returncode == 0 else record(configurations)
-
-
-def main() -> None:
-    """The process of `record_apart`: configurations come by standard input, replays leave by output."""
-    asked = json.load(sys.stdin)
-    plugins.load(asked["plugins"])
-    configurations = [
-        Trained(name, label, [Run(Path(path)) for path in paths])
-        for name, label, paths in asked["configurations"]
-    ]
-    json.dump(record(configurations), sys.stdout)
 
 
 def _constants(world: World | SpaceWorld) -> dict[str, Any]:
@@ -400,7 +374,3 @@ def _bytes(column: Tensor, field: Field) -> bytes:
     kind = np.dtype(field.type).newbyteorder("<")
     numbers = column.reshape(len(column), -1).T.double().numpy() / field.unit
     return (numbers if kind.kind == "f" else np.rint(numbers)).astype(kind).tobytes()
-
-
-if __name__ == "__main__":
-    main()

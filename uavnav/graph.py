@@ -119,7 +119,7 @@ class Scan(Graph):
                 known.add(id(tensor))
             return found
 
-        step, frozen = _lifted(make_fx(apart)(*first))
+        step, frozen = _lifted(_trace(apart, first))
 
         def steps(*tensors: Tensor) -> Tensors:
             state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
@@ -228,15 +228,19 @@ def _lifted(traced: fx.GraphModule) -> tuple[fx.GraphModule, Tensors]:
     return fx.GraphModule(traced, calls), [getattr(traced, name) for name in frozen]
 
 
+def _trace(function: Function, tensors: Tensors) -> fx.GraphModule:
+    """Its calls of torch, by what stands for tensors and has no values: it may ask whether it is traced."""
+    return make_fx(function, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
+
+
 def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> Function:
     """Trace a function and compile the trace."""
     given: list[Any] = [  # without values: tracing needs none, and refuses shared memory
         torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device)
         for tensor in tensors
     ]
-    traced = make_fx(function, tracing_mode="fake", _allow_non_fake_inputs=True)(*given)
     graph: Function = standalone_compile(
-        traced,
+        _trace(function, given),
         given,
         dynamic_shapes="from_example_inputs",
         options={"config_patches": options},

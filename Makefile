@@ -61,7 +61,7 @@ layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/splits
 
 picture: .venv/.installed # the episodes and films in the README, the sensor and the learning curves of the docs
-	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
+	$(BIN)/python docs/film.py dqn-tanh ppo-tanh reactive ppo-best
 	$(BIN)/python docs/sensor.py
 	$(BIN)/python docs/curves.py ppo dqn a2c c51 sac
 	for film in drone:7 moving:20 goal:12 space:20 space-moving:20; do task=$${film%:*}; \

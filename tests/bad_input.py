@@ -1110,7 +1110,7 @@ CASES = [
     *(word(f"evaluate random --plugins={name}", f"--plugins {name}: is no module's name", "as my_module")
         for name in ("./x", "my.py.", ".my")),
     word("compare reactive", "reactive: there is nothing to compare it with",
-        "at least two, such as reactive"),
+        "at least two, such as ppo-best reactive"),
     word("compare {}/run {}/rum", "no such run folder", "(did you mean {}/run?)"),
     word("compare {}/run reactiv", "no such run folder", "(did you mean reactive?)"),
     # files that are written, and policies that are exported

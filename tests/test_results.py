@@ -181,11 +181,12 @@ def test_the_counts_of_the_papers_numbers_that_the_decisions_quote_are_those_of_
         of_log["all configurations"], *of_each
     )
     assert said in text
-    numbers = [
-        everything[name] for name in ("per frame", "all training episodes", "last 100 training episodes")
-    ]
-    said = "Per frame {} are inside, over all training episodes {}, and over the last 100 episodes"
-    assert f"{said}, with wider intervals, {{}}.".format(*numbers) in text
+    definitions = "per frame", "all training episodes", "last 100 training episodes", "sampled evaluation"
+    said = (
+        "Per frame {} are inside, and over all training episodes {}. Wider intervals contain more: "
+        "{} over the last 100 episodes, and {} in sampled test episodes."
+    )
+    assert said.format(*(everything[name] for name in definitions)) in text
 
 
 @pytest.fixture(scope="module")

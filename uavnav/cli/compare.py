@@ -24,7 +24,7 @@ def main(arguments: Namespace) -> int:
     names = list(dict.fromkeys(arguments.runs))
     if len(names) < 2 and not arguments.shield:
         raise ConfigError(
-            f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive"
+            f"{names[0]}: there is nothing to compare it with; give at least two, such as ppo-best reactive"
         )
     given = {name: getattr(arguments, name) for name in ("episodes", "max_steps")}
     asked = {name: value for name, value in given.items() if value is not None}

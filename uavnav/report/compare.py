@@ -291,7 +291,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     for row in rows[1:]:
         table.add_row(*row)
     console.print(table)
-    up = Table(title="Episodes that last longer than so many steps [%]", title_justify="left", box=None)
+    up = Table(title="Episodes that last at least so many steps [%]", title_justify="left", box=None)
     up.add_column("")
     marks = [mark for mark in MARKS if mark <= contenders[0].protocol["max_steps"]]
     for mark in marks:

@@ -32,6 +32,11 @@ function decode(world, action) {
   return [turn <= furthestTurns(world)[1] ? turn : turn - world.n_turns, action % world.n_distances];
 }
 
+/** The turn and the distance of each action. */
+function actionsOf(world) {
+  return Array.from({ length: world.n_turns * world.n_distances }, (_, action) => decode(world, action));
+}
+
 /** The furthest turns of an action [degrees, left positive]: to the right, and to the left. */
 function furthestTurns(world) {
   const left = Math.floor(world.n_turns / 2);
@@ -146,6 +151,12 @@ function isFilled(slot) {
 /** The slots [right, forward, proximity] of an observation. */
 function slotsOf(world, observation) {
   return Array.from({ length: world.n_slots }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
+}
+
+/** The way to the goal in an observation: right, forward and away [px] by its scale; undefined where none is sensed. */
+function wayOf(world, observation, scale) {
+  const [right, forward, away] = observation.subarray(3 * world.n_slots);
+  return right === undefined ? undefined : [right, forward, away * scale];
 }
 
 const NO_FAULTS = { noise: 0, lost: 0, late: 0, sticky: 0 }; // [px], probability, [steps], probability

@@ -28,10 +28,9 @@ function coloursOf(pilots, policies, { known, others }, ink) {
 
 /** The way to the goal, from the drone at (x, y): a line, and a ring at its end so many px away. */
 function drawWay(context, [x, y], [right, forward], away, colours) {
-  line(context, [[x, y], [x + away * right, y - away * forward]], 1, colours.muted);
-  context.strokeStyle = colours.fg;
-  context.lineWidth = 2;
-  ring(context, x + away * right, y - away * forward, 5);
+  const end = [x + away * right, y - away * forward];
+  line(context, [[x, y], end], 1, colours.muted);
+  ring(context, ...end, 5, 2, colours.fg);
 }
 
 /**
@@ -88,8 +87,7 @@ class Panel {
   constructor(data, find) {
     Object.assign(this, { data, find });
     this.world = data.tasks.drone.world; // whose drone every world has
-    const { n_turns, n_distances } = this.world;
-    this.actions = Array.from({ length: n_turns * n_distances }, (_, action) => decode(this.world, action));
+    this.actions = actionsOf(this.world);
     layOut(find("values"), this.actions);
     this.seats = [...document.querySelectorAll(".seat")];
     this.rows = [...document.querySelectorAll("[data-metric]")].map((row) => [
@@ -141,8 +139,7 @@ class Panel {
     showValues(values, { shares, chosen, low, high });
     values.setAttribute("aria-label", `${subject}${words}`);
     const slots = slotsOf(this.world, drone.observation);
-    const [right, forward, away] = drone.observation.subarray(3 * this.world.n_slots);
-    const way = right === undefined ? undefined : [right, forward, away * race.task.rules.scale];
+    const way = wayOf(this.world, drone.observation, race.task.rules.scale);
     const filled = slots.filter(isFilled).length;
     const sensor = this.find("sensor");
     drawSlots(sensor, { world: this.world, slots, way, mine });
@@ -152,7 +149,6 @@ class Panel {
     say(this.find("sensor-title"), way ? "the ten slots it senses, and the way to the goal" : "the ten slots it senses");
     const said = hidden.length ? "its hidden units, the greater the brighter" : "hidden units: none";
     say(this.find("units-title"), said);
-    this.find("units").setAttribute("aria-label", said);
     drawUnits(this.find("units"), hidden);
   }
 }

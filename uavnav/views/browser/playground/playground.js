@@ -1,20 +1,19 @@
 /*
- * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
+ * The page: new Playground(data) brings the race, the arena, the instruments and the controls together.
  *
  * `data` is what __init__.py writes: constants of the tasks, their layouts and settings, metrics, colours and policies.
- * In the page, an element with `data-scene` shows a part of the scene and changes it; one with `data-act` calls a method
- * of Playground, with the numbers of its `data-by`.
+ * In the page, an element with `data-scene` shows a part of the scene and changes it.
  */
 
-const MOST_AT_ONCE = 8; // steps from one picture to the next
 const ADDRESS = 200; // [ms] from a change of the scene to the address that contains it
 const WAYS_TO_END = { collision: "crashed", goal: "arrived", "time-out": "flew to the time limit" };
 const OTHER_LAYOUT = { circles: null };
 const RANDOM_LAYOUT = { layouts: RANDOM, circles: null };
 const ALSO = { k: RANDOM_LAYOUT, gap: RANDOM_LAYOUT, pace: { layouts: RANDOM }, layouts: OTHER_LAYOUT, layout: OTHER_LAYOUT };
 
-class Playground {
+class Playground extends Playing {
   constructor(data) {
+    super();
     this.data = data;
     this.find = (id) => document.getElementById(id);
     this.read = readers(data.settings, data.tasks.drone.world);
@@ -22,7 +21,6 @@ class Playground {
     this.stage = new Stage(this, this.find("stage"));
     this.panel = new Panel(data, this.find);
     this.rows = []; // of a person's finished episodes that are not kept yet
-    this.playing = false;
     this.share = 1; // of the way from the last poses to these
     this.keyboard = new Keyboard(this);
     this.listen();
@@ -84,7 +82,7 @@ class Playground {
   }
 
   listen() {
-    for (const button of document.querySelectorAll("button[data-act]")) button.addEventListener("click", () => this.act(button));
+    this.listenTo(document);
     this.controls = [...document.querySelectorAll("[data-scene]")];
     for (const control of this.controls) {
       const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
@@ -93,11 +91,6 @@ class Playground {
     this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
     addEventListener("hashchange", () => this.open());
     watchLooks(document.body, () => this.show());
-  }
-
-  /** Do what a button or a key says. */
-  act({ dataset: { act, by = "" } }) {
-    this[act](...by.split(" ").filter(Boolean).map(Number));
   }
 
   /** What the pointer or the keys steer in the next step. */
@@ -291,24 +284,19 @@ class Playground {
     return this.tell("own.safetensors has these obstacles: uavnav play --layouts own.safetensors");
   }
 
-  toggle() {
-    if (this.playing) this.pause();
-    else this.start();
-  }
-
   start() {
-    this.fly();
     if (!this.race.flying().length && this.race.steps) this.again();
-    if (!this.race.flying().length) this.race.begin(); // nobody else is in the race
-    if (!this.race.flying().length) return;
+    if (!this.fly()) return;
     if (!this.race.begun) this.focusOnFlyer(this.race.flying());
-    this.playing = true;
-    everyPicture(this, (seconds) => this.frame(seconds));
+    this.play();
   }
 
-  /** Among circles that move nobody draws while time goes. */
+  /** Whether anyone flies in the next step. Among circles that move nobody draws while time goes. */
   fly() {
-    if (this.stage.drawing && this.race.task.moves) this.draw();
+    const { race, stage } = this;
+    if (stage.drawing && race.task.moves) this.draw();
+    if (!race.flying().length && !race.steps) race.begin(); // nobody else is in the race
+    return race.flying().length > 0;
   }
 
   pause() {
@@ -319,9 +307,7 @@ class Playground {
 
   oneStep() {
     this.playing = false;
-    this.fly();
-    if (!this.race.flying().length && !this.race.steps) this.race.begin(); // nobody else is in the race
-    if (this.race.flying().length) this.advance();
+    if (this.fly()) this.advance();
     this.pause();
     this.describe();
   }
@@ -329,9 +315,9 @@ class Playground {
   /** What belongs to one picture: the steps that are due in so many seconds, and drawing. */
   frame(seconds) {
     this.share += seconds * STEPS_PER_SECOND * this.scene.speed;
-    for (let steps = 0; this.share > 1 && this.playing; steps += 1) {
-      this.share = steps < MOST_AT_ONCE ? this.share - 1 : 1;
-      if (steps < MOST_AT_ONCE) this.advance();
+    while (this.share > 1 && this.playing) {
+      this.share -= 1;
+      this.advance();
     }
     this.show();
   }
@@ -378,7 +364,6 @@ class Playground {
   /** Whether time goes, and how to steer or to draw. */
   showTime() {
     const { race, stage, find } = this;
-    say(find("play"), this.playing ? "Pause" : "Play");
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
     const steering = race.yours
       ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
@@ -450,8 +435,4 @@ class Playground {
     });
     say(this.find("status"), words.join(" "));
   }
-}
-
-function startPlayground(data) {
-  return new Playground(data);
 }

@@ -43,11 +43,9 @@ class Stage {
   }
 
   /** Where a pointer is in the world [px]. */
-  at(event) {
-    const { left, top, width, height } = this.canvas.getBoundingClientRect();
-    const { world } = this.app;
-    const x = ((event.clientX - left) / width) * world.width;
-    return [x, (1 - (event.clientY - top) / height) * world.height];
+  at({ offsetX, offsetY }) {
+    const { canvas: { clientWidth, clientHeight }, app: { world } } = this;
+    return [(offsetX / clientWidth) * world.width, (1 - offsetY / clientHeight) * world.height];
   }
 
   press(event, point) {
@@ -81,26 +79,19 @@ class Stage {
     const { circles } = this.app.race;
     const gap = ([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius;
     this.selected = circles.findLastIndex((circle) => gap(circle) < EDGE / 2);
-    if (this.selected < 0) {
-      if (!this.app.add([x, y, 0])) return;
-      this.held = (to) => this.sized(to);
-    } else if (gap(circles[this.selected]) > -EDGE) {
-      this.held = (to) => this.sized(to);
-    } else {
-      const [cx, cy, radius] = circles[this.selected];
-      this.held = ([toX, toY]) => this.change([cx + toX - x, cy + toY - y, radius]);
-    }
+    const isSized = this.selected < 0 || gap(circles[this.selected]) > -EDGE;
+    if (this.selected < 0 && !this.app.add([x, y, 0])) return;
+    const [cx, cy, radius] = this.app.race.circles[this.selected];
+    this.held = ([toX, toY]) => {
+      if (isSized) this.change([cx, cy, Math.hypot(toX - cx, toY - cy)]);
+      else this.change([cx + toX - x, cy + toY - y, radius]);
+    };
   }
 
   /** Another circle or none is selected; whichever was held is so no more. */
   select(place) {
     this.selected = place;
     this.held = null;
-  }
-
-  sized([toX, toY]) {
-    const [x, y] = this.app.race.circles[this.selected];
-    this.change([x, y, Math.hypot(toX - x, toY - y)]);
   }
 
   change(circle) {
@@ -143,13 +134,9 @@ class Stage {
   /** While one draws: what must stay free, and the selected circle. */
   drawHelp(context, thick, colours) {
     const { race } = this.app;
-    context.lineWidth = 2 * thick;
-    context.strokeStyle = colours.muted;
     context.setLineDash([6 * thick, 6 * thick]);
-    for (const place of race.free) ring(context, ...place);
+    for (const place of race.free) ring(context, ...place, 2 * thick, colours.muted);
     context.setLineDash([]);
-    context.strokeStyle = colours.accent;
-    context.lineWidth = 4 * thick;
-    if (race.circles[this.selected]) ring(context, ...race.circles[this.selected]);
+    if (race.circles[this.selected]) ring(context, ...race.circles[this.selected], 4 * thick, colours.accent);
   }
 }

@@ -24,14 +24,11 @@ function short(number) {
 
 /** An action: [degrees, px], or of a box [yaw, pitch, px]. */
 function inWords(action) {
-  const [degrees, pixels, pitch] = [action[0], action.at(-1), pitchOf(action)];
+  const [degrees, pitch = 0] = action.slice(0, -1);
+  const pixels = action.at(-1);
   const turn = degrees === 0 ? "no turn" : `turn ${Math.abs(degrees)}° ${degrees > 0 ? "left" : "right"}`;
   const tilt = pitch === 0 ? "" : `, nose ${Math.abs(pitch)}° ${pitch > 0 ? "up" : "down"}`;
   return `${turn}${tilt}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
-}
-
-function pitchOf(action) {
-  return action.length > 2 ? action[1] : 0;
 }
 
 /** A text of an element, written only where it is another. */
@@ -300,32 +297,7 @@ function colourOf(share) {
 }
 
 /**
- * Give a picture of values (values.html) a square for each action: left turns to the left, and the longer way the higher;
- * of a box so in each pitch.
- */
-function layOut(picture, actions) {
-  const all = (part) => [...new Set(actions.map(part))].sort((a, b) => b - a);
-  const [turns, ways, pitches] = [all((action) => action[0]), all((action) => action.at(-1)), all(pitchOf)];
-  const flat = pitches.length === 1;
-  const fill = (part, texts) => {
-    const made = texts.map((textContent) => Object.assign(document.createElement("span"), { textContent }));
-    picture.querySelector(`.values-${part}`).replaceChildren(...made);
-    return made;
-  };
-  fill("title", [flat ? "distance [px]" : `pitch [°], in each ${ways.join(", ")} px`]);
-  fill("marks", flat ? ways : pitches.map((pitch) => fixed(pitch, 0)));
-  fill("turns", turns.map((turn) => (turn === 0 ? "0" : `${Math.abs(turn)}°`)));
-  fill("actions", actions.map(() => "")).forEach((square, place) => {
-    const action = actions[place];
-    const row = ways.length * pitches.indexOf(pitchOf(action)) + ways.indexOf(action.at(-1));
-    square.style.gridArea = `${row + 1} / ${turns.indexOf(action[0]) + 1}`;
-  });
-  const colours = CIVIDIS.map((colour) => `rgb(${colour.join(" ")})`);
-  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours.join(", ")})`;
-}
-
-/**
- * Colour the squares of a picture, each by its `shares` of the way from the value `low` to `high`, and frame the chosen one.
+ * Colour the squares of a picture of values (values.html), each by its `shares` of the way from the value `low` to `high`, and frame the chosen one.
  * Without shares it has the words that `instead` gives.
  */
 function showValues(picture, { instead = "", shares, chosen, low, high }) {
@@ -333,6 +305,8 @@ function showValues(picture, { instead = "", shares, chosen, low, high }) {
     square.style.background = shares ? colourOf(shares(action)) : "";
     square.classList.toggle("chosen", action === chosen);
   });
+  const colours = CIVIDIS.map((colour) => `rgb(${colour.join(" ")})`);
+  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours.join(", ")})`;
   picture.querySelector(".values-legend").style.visibility = shares ? "visible" : "hidden";
   say(picture.querySelector(".values-low"), shares ? short(low) : "");
   say(picture.querySelector(".values-high"), shares ? short(high) : "");

@@ -62,21 +62,16 @@ function withVelocities(circles, low, high, seed) {
 }
 
 /** The places of a grid that the drone can reach from the start: [x, y] px. */
-function reachable({ width, height, border, drone_radius: radius }, circles, grid) {
-  const rows = height / grid + 1;
-  const seen = new Uint8Array((width / grid + 1) * rows);
-  const waiting = [Math.round(width / 2 / grid) * rows + Math.round(height / 2 / grid)];
-  const found = [];
-  while (waiting.length) {
-    const place = waiting.pop();
-    if (seen[place]) continue;
-    seen[place] = 1;
-    const [x, y] = [Math.floor(place / rows) * grid, (place % rows) * grid];
-    if (roomAt({ width, height, border }, circles, x, y) <= radius) continue; // so never beyond the border
-    found.push([x, y]);
-    waiting.push(place - rows, place + rows, place - 1, place + 1);
+function reachable(world, circles, grid) {
+  const found = new Map();
+  const waiting = [[world.width / 2, world.height / 2]];
+  for (const [x, y] of waiting) {
+    const isFree = roomAt(world, circles, x, y) > world.drone_radius; // so never beyond the border
+    if (!isFree || found.has(`${x} ${y}`)) continue;
+    found.set(`${x} ${y}`, [x, y]);
+    waiting.push([x - grid, y], [x + grid, y], [x, y - grid], [x, y + grid]);
   }
-  return found;
+  return [...found.values()];
 }
 
 /** Distance [px] from a place to the nearest edge of circles or of the border. */

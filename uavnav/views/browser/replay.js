@@ -74,16 +74,12 @@ class Player extends Playing {
     this.step = 0;
     this.due = 0; // steps of the next picture, whole and parts
     fill(this.parts.configuration, data.configurations.map((one, place) => [place, named(one)]));
-    this.listen();
-    this.choose();
-  }
-
-  listen() {
     const { player, configuration, seed, layout, slider } = this.parts;
     this.listenTo(player);
     for (const list of [configuration, seed, layout]) list.addEventListener("change", () => this.choose());
     slider.addEventListener("input", () => this.show(Number(slider.value)));
     watchLooks(player, () => this.draw());
+    this.choose();
   }
 
   /** Where the reader is, as `open` takes it. */
@@ -113,7 +109,7 @@ class Player extends Playing {
     const own = episodes.filter((one) => one.seed === Number(parts.seed.value));
     fill(parts.layout, own.map((one) => [one.layout, `${one.layout + 1} (${one.ended} at ${one.steps})`]), layout);
     this.episode = own.find((one) => one.layout === Number(parts.layout.value));
-    layOut(parts.values, place.actions);
+    parts.values.innerHTML = place.values;
     parts.views.classList.toggle("in-3d", Boolean(place.world.depth));
     parts.views.style.setProperty("--accent", this.configuration.accent ?? "");
     this.read = null;

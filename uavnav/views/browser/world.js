@@ -210,13 +210,6 @@ class Task {
     return { circles: generate(this.world, k, layout) };
   }
 
-  /** The layout whose rows [x, y, radius, ...] a layout file has; rows that no drone can sense fill up a slalom's. */
-  read(rows) {
-    const { width, height, sensor_radius: reach } = this.world;
-    const isThere = ([x, y, radius]) => Math.hypot(x - clamp(x, 0, width), y - clamp(y, 0, height)) <= radius + reach;
-    return { circles: rows.filter(isThere) };
-  }
-
   /** A layout with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
   arrange(layout, circles, seed) {
     return { ...layout, circles };
@@ -332,10 +325,6 @@ class Moving extends Task {
 class Goal extends Task {
   generate({ k, layout }) {
     return generateGoal(this.world, this.rules, k, layout);
-  }
-
-  read(rows) {
-    return { circles: rows.slice(0, -1), goal: rows.at(-1).slice(0, 2) };
   }
 
   get observationSize() {

@@ -93,13 +93,6 @@ class Playground extends Playing {
     watchLooks(document.body, () => this.show());
   }
 
-  /** What the pointer or the keys steer in the next step. */
-  steer() {
-    const { yours } = this.race;
-    const { target } = this.stage;
-    this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
-  }
-
   /** The person steers: the first key or touch begins the race, and brings that drone into focus. */
   begin() {
     const { race } = this;
@@ -157,7 +150,7 @@ class Playground extends Playing {
   /** How many layouts there are of the kind that is shown. */
   get count() {
     const { task, layouts } = this.scene;
-    return this.data.layouts[task]?.[layouts]?.shape[0] ?? LAST_NUMBER + 1;
+    return this.data.layouts[task]?.[layouts]?.length ?? LAST_NUMBER + 1;
   }
 
   /** Another layout, so many further on, counted round and round. */
@@ -322,8 +315,10 @@ class Playground extends Playing {
     this.show();
   }
 
+  /** One step, in which a person steers by the pointer or by keys. */
   advance() {
-    this.steer();
+    const { race: { yours }, stage: { target } } = this;
+    this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
     const ended = this.race.step();
     this.rows.push(...ended.map((drone) => rowOf(this.race, drone, this.data.limit)).filter(Boolean));
     if (ended.length) {
@@ -343,8 +338,7 @@ class Playground extends Playing {
   show() {
     const { race, panel, pilots } = this;
     this.stage.draw(this.share, this.focus);
-    panel.showSeats(race, this.focus, pilots);
-    panel.showRace(race);
+    panel.showRace(race, this.focus, pilots);
     panel.showDrone(race, this.focus, pilots[this.focus]);
     this.showTime();
     this.showPilot();

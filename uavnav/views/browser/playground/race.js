@@ -18,13 +18,13 @@ class Race {
   load(scene) {
     const given = this.tasks[scene.task];
     const split = this.layouts[scene.task]?.[scene.layouts];
-    this.scene = split ? { ...scene, layout: scene.layout % split.shape[0] } : { ...scene, layouts: RANDOM };
+    this.scene = split ? { ...scene, layout: scene.layout % split.length } : { ...scene, layouts: RANDOM };
     if (scene.task === "moving" && split && !scene.circles) this.scene.pace = given.world.speed_max; // the split's own
     const { noise, lost, late, sticky, pace } = this.scene;
     const speeds = { speed_min: Math.min(given.world.speed_min, pace), speed_max: pace };
     const world = scene.task === "moving" ? { ...given.world, ...speeds } : given.world;
     this.task = new TASKS[scene.task]({ ...given, world }, { noise, lost, late, sticky });
-    this.layout = split ? this.task.read(rowsOf(split, this.scene.layout)) : this.task.generate(scene);
+    this.layout = split ? unpacked(split[this.scene.layout]) : this.task.generate(scene);
     if (scene.circles) this.layout = this.task.arrange(this.layout, scene.circles, scene.layout);
     this.again();
   }
@@ -178,12 +178,9 @@ class Race {
   }
 }
 
-/** The rows of one layout of a split { shape: [layouts, rows, columns], numbers: base64 of float32 }. */
-function rowsOf(split, layout) {
-  const [, rows, columns] = split.shape;
-  split.read ??= floats(split.numbers); // unpacked when it is first asked
-  return Array.from({ length: rows }, (_, row) => {
-    const first = (layout * rows + row) * columns;
-    return [...split.read.subarray(first, first + columns)];
-  });
+/** A layout of the page, whose circles are rows of so many columns in base64. */
+function unpacked({ circles, columns, goal }) {
+  const numbers = floats(circles);
+  const row = (nth) => [...numbers.subarray(columns * nth, columns * (nth + 1))];
+  return { circles: Array.from({ length: numbers.length / columns }, (_, nth) => row(nth)), goal };
 }

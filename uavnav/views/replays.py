@@ -129,9 +129,11 @@ def record(
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
         name |= {"accent": configuration.colour} if configuration.colour else {}
         own = [episode for _ in population for episode in next(flown[split])]
-        name |= _place(next(iter(population.values())).task, split, configuration.layouts or usual)
+        where = _place(next(iter(population.values())).task, split, configuration.layouts or usual)
+        words = [f"{configuration.algorithm.upper()} {configuration.label}", "sampled"]
+        name["name"] = ", ".join([*words, *(one["title"] for one in where.values())])
         values = ALGORITHMS[configuration.algorithm].shown
-        shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
+        shown.append(name | where | {"values": values, "episodes": own})
     places = [*usual, *(place for one in configurations for place in one.layouts)]
     return {
         **_constants(world),

@@ -25,11 +25,6 @@ async function unpack(episode, fields) {
   return read;
 }
 
-/** A configuration in words, and where it flies if that has a name. */
-function named({ algorithm, label, mode, place }) {
-  return [`${algorithm.toUpperCase()} ${label}`, mode, ...(place ? [place.title] : [])].join(", ");
-}
-
 /** What stands around an episode at a step: { circles, goal }. */
 function around({ layouts }, { place }, { layout }, step) {
   if (!place) return { circles: layouts[layout] };
@@ -69,11 +64,8 @@ class Player extends Playing {
     root.player = this;
     root.replaceChildren(root.querySelector("template").content);
     this.parts = Object.fromEntries(Array.from(root.querySelectorAll("[data-part]"), (part) => [part.dataset.part, part]));
-    this.episode = null; // the one that is shown
-    this.read = null; // its fields, once it is unpacked
     this.step = 0;
-    this.due = 0; // steps of the next picture, whole and parts
-    fill(this.parts.configuration, data.configurations.map((one, place) => [place, named(one)]));
+    fill(this.parts.configuration, data.configurations.map(({ name }, place) => [place, name]));
     const { player, configuration, seed, layout, slider } = this.parts;
     this.listenTo(player);
     for (const list of [configuration, seed, layout]) list.addEventListener("change", () => this.choose());
@@ -85,13 +77,13 @@ class Player extends Playing {
   /** Where the reader is, as `open` takes it. */
   get bookmark() {
     const { seed, layout, speed } = this.parts;
-    const name = named(this.configuration);
+    const { name } = this.configuration;
     return { name, seed: seed.value, layout: layout.value, speed: speed.value, step: this.step };
   }
 
   /** Go where a bookmark of an earlier page says, if its configuration is still there. */
   open({ name, seed, layout, speed, step }) {
-    const place = this.data.configurations.findIndex((one) => named(one) === name);
+    const place = this.data.configurations.findIndex((one) => one.name === name);
     if (place < 0) return;
     this.parts.configuration.value = place;
     this.parts.speed.value = speed;
@@ -112,7 +104,7 @@ class Player extends Playing {
     parts.values.innerHTML = place.values;
     parts.views.classList.toggle("in-3d", Boolean(place.world.depth));
     parts.views.style.setProperty("--accent", this.configuration.accent ?? "");
-    this.read = null;
+    this.read = null; // its fields, once it is unpacked
     parts.status.textContent = "unpacking the episode …";
     const unpacking = (this.unpacking = unpack(this.episode, place.fields));
     try {
@@ -130,7 +122,7 @@ class Player extends Playing {
     if (!this.read) return;
     this.parts.status.ariaLive = "off"; // not read out while they change all the time
     if (this.step === this.episode.steps) this.show(0);
-    this.due = 0;
+    this.due = 0; // steps of the next picture, whole and parts
     this.play();
   }
 

@@ -61,24 +61,15 @@ function toInterval(place, first, side) {
   return f32(clamp(place, first, first + side) - place);
 }
 
-/** Lower ends of the squares of a wall that can be in view, or nearest, from a place along it. */
-function squaresNear(world, place, lowest, highest) {
-  const each = Math.ceil(world.sensor_radius / world.border); // so many a sensor can reach to either side
-  const count = 2 * each + 2;
-  const first = clamp(Math.ceil(f32(place / world.border)) - 1 - each, lowest, highest - count);
-  return Array.from({ length: count }, (_, nth) => (first + nth) * world.border);
-}
-
-/** Offsets [dx, dy] to the nearest points of the border squares of the two nearer walls, in index order. */
-function toSquares(world, x, y) {
-  const { width, height, border } = world;
-  const row = y < height / 2 ? 0 : height - border;
-  const column = x < width / 2 ? 0 : width - border;
-  const dy = toInterval(y, row, border);
-  const dx = toInterval(x, column, border);
-  const along = squaresNear(world, x, 0, width / border).map((left) => [toInterval(x, left, border), dy]);
-  const up = squaresNear(world, y, 1, height / border - 1).map((bottom) => [dx, toInterval(y, bottom, border)]);
-  return [...along, ...up];
+/** Offsets [dx, dy] to the nearest points of the squares of the border: those of two rows, then of two columns. */
+function toSquares({ width, height, border }, x, y) {
+  const along = (place, first, count) =>
+    Array.from({ length: count }, (_, nth) => toInterval(place, first + nth * border, border));
+  const across = (place, size) => [0, size - border].map((first) => toInterval(place, first, border));
+  const [lefts, bottoms] = [along(x, 0, width / border), along(y, border, height / border - 2)];
+  const rows = across(y, height).flatMap((dy) => lefts.map((dx) => [dx, dy]));
+  const columns = across(x, width).flatMap((dx) => bottoms.map((dy) => [dx, dy]));
+  return [...rows, ...columns];
 }
 
 function lengthOf(dx, dy) {

@@ -70,10 +70,7 @@ class Panel {
     this.world = data.tasks.drone.world; // whose drone every world has
     this.actions = actionsOf(this.world);
     this.seats = [...document.querySelectorAll(".seat")];
-    this.rows = [...document.querySelectorAll("[data-metric]")].map((row) => [
-      data.metrics.find(({ name }) => name === row.dataset.metric),
-      [...row.cells].slice(1),
-    ]);
+    this.rows = [...document.querySelectorAll("[data-metric]")];
     this.states = [...document.querySelectorAll(".state td")];
     this.bars = [...document.querySelectorAll("#slots li")];
   }
@@ -92,12 +89,12 @@ class Panel {
       const away = !race.canFly(pilot);
       const waits = pilot === YOU && !race.begun && !ended;
       say(this.states[place], pilot === NOBODY ? "" : away ? "cannot fly" : waits ? "waiting" : ENDS[ended]);
-      for (const [metric, cells] of this.rows) {
-        const value = metricOf(metric, state);
-        const decimals = metric.scale === null && metric.column !== "reward" ? 0 : metric.scale === 100 ? 0 : 1;
-        say(cells[place], away ? "" : fixed(value, decimals));
-        cells[place].classList.toggle("ahead", metric.column === "reward" && !away && state.steps > 0 && state.reward === most);
-      }
+      this.data.metrics.forEach((metric, nth) => {
+        const cell = this.rows[nth].cells[place + 1];
+        const isReward = metric.column === "reward";
+        say(cell, away ? "" : fixed(metricOf(metric, state), isReward || metric.scale === 1 ? 1 : 0));
+        cell.classList.toggle("ahead", isReward && !away && state.steps > 0 && state.reward === most);
+      });
     });
   }
 

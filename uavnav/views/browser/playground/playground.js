@@ -28,7 +28,7 @@ class Playground extends Playing {
   }
 
   get world() {
-    return this.race.world;
+    return this.race.task.world;
   }
 
   get scene() {
@@ -208,7 +208,7 @@ class Playground extends Playing {
     this.race.replaceCircles(circles);
     this.scene.circles = circles;
     this.stage.selected = selected;
-    this.show();
+    this.changed();
   }
 
   /** A new circle, selected; false where it cannot be. */
@@ -227,7 +227,7 @@ class Playground extends Playing {
     const { circles, free } = this.race;
     const some = generate(this.world, 100, this.scene.layout + 1000 * (circles.length + 1));
     const isNew = ([x, y]) => circles.every((other) => Math.hypot(other[0] - x, other[1] - y) > 1);
-    if (this.add(some.find((circle) => isNew(circle) && allowed(this.world, circle, free)))) this.changed();
+    this.add(some.find((circle) => isNew(circle) && allowed(this.world, circle, free)));
   }
 
   select(by) {
@@ -241,9 +241,7 @@ class Playground extends Playing {
   /** Move the selected circle, or change its radius, by so many px. */
   alter(dx, dy, larger) {
     const circle = this.race.circles[this.stage.selected];
-    if (!circle) return;
-    this.stage.change([circle[0] + dx, circle[1] + dy, circle[2] + larger]);
-    this.changed();
+    if (circle) this.stage.change([circle[0] + dx, circle[1] + dy, circle[2] + larger]);
   }
 
   remove() {
@@ -252,12 +250,10 @@ class Playground extends Playing {
     const circles = this.race.circles.toSpliced(selected, 1);
     this.edit(circles, Math.min(selected, circles.length - 1));
     this.stage.held = null; // it has another circle now
-    this.changed();
   }
 
   clear() {
     this.edit([], -1);
-    this.changed();
   }
 
   /** Save the episodes that a person flew, with those that this browser kept before. */
@@ -359,12 +355,10 @@ class Playground extends Playing {
   showTime() {
     const { race, stage, find } = this;
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
-    const steering = race.yours
+    find("they-move").hidden = !race.task.moves;
+    say(find("steering"), race.yours
       ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
-      : "To fly by hand, choose a drone and take it.";
-    const where = race.task.moves ? " They move when you play." : "";
-    const drawing = `Drag on free ground for a new circle, inside one to move it, at its edge to size it.${where}`;
-    say(find("hint"), stage.drawing ? drawing : `${steering} Space pauses.`);
+      : "To fly by hand, choose a drone and take it.");
   }
 
   /** Who flies the drone in focus, or will from the next start. */
@@ -388,10 +382,8 @@ class Playground extends Playing {
     for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
     find("k").value = race.circles.length;
     find("k").disabled = this.stage.drawing;
-    find("k").closest("label").hidden = scene.task === "slalom";
     say(find("k-now"), String(race.circles.length));
-    for (const [name, { tasks: where, unit }] of Object.entries(settings)) {
-      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.task);
+    for (const [name, { unit }] of Object.entries(settings)) {
       say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
     }
     const faults = Object.entries(settings).filter(([name, { tasks: where }]) => !where.length && scene[name] > 0);

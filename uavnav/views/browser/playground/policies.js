@@ -71,12 +71,9 @@ function normalised(values) {
 /** One layer: bias [out] + inputs [in] x weight [in, out]. */
 function linear(inputs, weight, bias) {
   const sums = Float64Array.from(bias);
-  const outputs = sums.length;
-  for (let from = 0; from < inputs.length; from += 1) {
-    const input = inputs[from];
-    if (input === 0) continue;
-    for (let to = 0, at = from * outputs; to < outputs; to += 1, at += 1) sums[to] += input * weight[at];
-  }
+  inputs.forEach((input, from) => {
+    for (let to = 0; to < sums.length; to += 1) sums[to] += input * weight[from * sums.length + to];
+  });
   return Float32Array.from(sums);
 }
 

@@ -10,7 +10,6 @@ class Race {
   /** data: the page's, with constants of each task, layouts and policies; scene: as link.js has it. */
   constructor({ tasks, layouts, policies }, scene) {
     Object.assign(this, { tasks, layouts, policies });
-    this.hand = [0, 0]; // what a person steers: a turn [degrees] and a distance [px]
     this.load(scene);
   }
 
@@ -27,10 +26,6 @@ class Race {
     this.layout = split ? unpacked(split[this.scene.layout]) : this.task.generate(scene);
     if (scene.circles) this.layout = this.task.arrange(this.layout, scene.circles, scene.layout);
     this.again();
-  }
-
-  get world() {
-    return this.task.world;
   }
 
   /** Those of the layout, as they are at the start: [x, y, radius] px. */
@@ -51,7 +46,7 @@ class Race {
   /** Every drone back at the start, on the same obstacles and with the same random numbers. */
   again() {
     this.steps = 0;
-    this.hand = [0, 0];
+    this.hand = [0, 0]; // what a person steers: a turn [degrees] and a distance [px]
     this.begun = false; // whether the person steers; before, that drone waits at the start
     this.drones = this.scene.pilots.map((pilot, place) => {
       const seed = this.scene.seed + place * 0x9e3779b1;
@@ -154,7 +149,7 @@ class Race {
       this.wake(drone);
     }
     for (const drone of flying) {
-      const action = drone.thought.action ?? encode(this.world, this.hand);
+      const action = drone.thought.action ?? encode(this.task.world, this.hand);
       drone.last = drone.state;
       drone.trail.push([drone.last.x, drone.last.y]);
       Object.assign(drone, this.task.step(drone.state, action, this.layout, this.task.draw(drone.chance)));

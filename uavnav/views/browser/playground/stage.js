@@ -70,7 +70,6 @@ class Stage {
 
   release() {
     if (this.target) this.app.race.hand = [0, 0];
-    if (this.held) this.app.changed();
     this.target = this.held = null;
   }
 

@@ -1,6 +1,6 @@
 /*
- * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for numbers,
- * too, and what plays.
+ * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for
+ * numbers, too, and what plays.
  *
  * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle, each as a canvas takes it.
  */
@@ -44,7 +44,7 @@ function nameOfKey({ key }) {
   return key === " " ? "space" : key.toLowerCase();
 }
 
-/** The same if nothing else uses the key: a button has Space and Enter, a slider arrows, a field or a list all. */
+/** The same if nothing else uses it: a button has Space and Enter, a slider arrows, a field or a list all. */
 function freeKey(event) {
   const [key, { target }] = [nameOfKey(event), event];
   const pressed = target.closest("button, summary") && ["space", "enter"].includes(key);
@@ -54,9 +54,10 @@ function freeKey(event) {
 }
 
 /**
- * What plays: a class of it says how to begin (`start`), to end (`pause`), and what belongs to a picture (`frame`).
- * In its place on the page an element with `data-act` calls a method, with the number of its `data-by`: a button by
- * a click, and any by its `data-keys`, where it `data-repeats` also while one is held down. One button's act is `toggle`.
+ * What plays: a class of it says how to begin (`start`), to end (`pause`), and what a picture needs (`frame`).
+ * In its place on the page an element with `data-act` calls a method, with the number of its `data-by`: a button
+ * by a click, and any by its `data-keys`, where it `data-repeats` also while one is held down. One button's act
+ * is `toggle`.
  */
 class Playing {
   #playing = false;
@@ -93,7 +94,7 @@ class Playing {
     else this.start();
   }
 
-  /** Call `frame` with the seconds since the last picture, at each one while this plays; one loop at a time. */
+  /** Call `frame` at each picture with the seconds since the last, while this plays; one loop at a time. */
   play() {
     let before = performance.now();
     const turn = (this.turn = {});
@@ -297,8 +298,8 @@ function colourOf(share) {
 }
 
 /**
- * Colour the squares of a picture of values (values.html), each by its `shares` of the way from the value `low` to `high`, and frame the chosen one.
- * Without shares it has the words that `instead` gives.
+ * Colour the squares of a picture of values (values.html), each by its `shares` of the way from the value `low`
+ * to `high`, and frame the chosen one. Without shares it has the words that `instead` gives.
  */
 function showValues(picture, { instead = "", shares, chosen, low, high }) {
   [...picture.querySelector(".values-actions").children].forEach((square, action) => {
@@ -306,7 +307,7 @@ function showValues(picture, { instead = "", shares, chosen, low, high }) {
     square.classList.toggle("chosen", action === chosen);
   });
   const colours = CIVIDIS.map((colour) => `rgb(${colour.join(" ")})`);
-  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours.join(", ")})`;
+  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours})`;
   picture.querySelector(".values-legend").style.visibility = shares ? "visible" : "hidden";
   say(picture.querySelector(".values-low"), shares ? short(low) : "");
   say(picture.querySelector(".values-high"), shares ? short(high) : "");

@@ -14,21 +14,21 @@ function randomNumbers(seed) {
   };
 }
 
-/** Whether a circle leaves a place [x, y, room] free, such as the start: sec. 4.1. */
-function isClear([atX, atY, room], [x, y, radius]) {
-  return Math.hypot(x - atX, y - atY) - radius >= room;
+/** Distance [px] from a place to the edge of a circle, negative inside. */
+function toEdge([atX, atY], [x, y, radius]) {
+  return Math.hypot(x - atX, y - atY) - radius;
 }
 
-/** k circles: radius and centre uniform, the centre drawn again until the start is free. More circles keep the first. */
+/** k circles, of uniform radius and centre, drawn again until the start is free: sec. 4.1. More keep the first. */
 function generate(world, k, seed) {
   const draw = randomNumbers(seed);
-  const start = [world.width / 2, world.height / 2, world.safe_zone];
+  const start = [world.width / 2, world.height / 2];
   const span = world.obstacle_radius_max - world.obstacle_radius_min;
   return Array.from({ length: k }, () => {
     const radius = f32(world.obstacle_radius_min + span * draw());
     let circle;
     do circle = [f32(world.width * draw()), f32(world.height * draw()), radius];
-    while (!isClear(start, circle));
+    while (toEdge(start, circle) < world.safe_zone);
     return circle;
   });
 }
@@ -76,7 +76,7 @@ function reachable(world, circles, grid) {
 
 /** Distance [px] from a place to the nearest edge of circles or of the border. */
 function roomAt({ width, height, border }, circles, x, y) {
-  const edges = circles.map(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius);
+  const edges = circles.map((circle) => toEdge([x, y], circle));
   return Math.min(x - border, width - border - x, y - border, height - border - y, ...edges);
 }
 

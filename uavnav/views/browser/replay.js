@@ -34,7 +34,7 @@ function around({ layouts }, { place }, { layout }, step) {
 }
 
 /**
- * A drone as drawArena or viewOf takes it: where it is at a step, what it senses, and the trail of so many steps.
+ * A drone as drawArena or viewOf takes it: where it is at a step, what it senses, the trail of so many steps.
  * read: of an episode, as `unpack` gives it.
  */
 function droneAt(world, episode, read, step, trail = Infinity) {

@@ -61,7 +61,7 @@ function toInterval(place, first, side) {
   return f32(clamp(place, first, first + side) - place);
 }
 
-/** Offsets [dx, dy] to the nearest points of the squares of the border: those of two rows, then of two columns. */
+/** Offsets [dx, dy] to the nearest points of the border's squares: those of two rows, then of two columns. */
 function toSquares({ width, height, border }, x, y) {
   const along = (place, first, count) =>
     Array.from({ length: count }, (_, nth) => toInterval(place, first + nth * border, border));
@@ -144,7 +144,7 @@ function slotsOf(world, observation) {
   return Array.from({ length: world.n_slots }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
 }
 
-/** The way to the goal in an observation: right, forward and away [px] by its scale; undefined where none is sensed. */
+/** The way to the goal in an observation: right, forward and away [px]; undefined where none is sensed. */
 function wayOf(world, observation, scale) {
   const [right, forward, away] = observation.subarray(3 * world.n_slots);
   return right === undefined ? undefined : [right, forward, away * scale];

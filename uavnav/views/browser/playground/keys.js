@@ -1,5 +1,5 @@
 /*
- * The keys that steer. The others are those of the page's help, whose `kbd` elements say what they do as buttons do.
+ * The keys that steer. The others are those of the page's help, whose `kbd` elements say what they do.
  */
 
 const STRIDE = { circle: 10, size: 5 }; // [px] that a key moves or sizes a drawn circle

@@ -66,12 +66,11 @@ function readers(settings, world) {
   return parts;
 }
 
-/** The parts of a scene that a fragment gives, and the names of those that are wrong: [scene, wrong]. */
+/** The parts of a scene that a fragment #... gives, and the names of those that are wrong: [scene, wrong]. */
 function readLink(fragment, read) {
   const [scene, wrong] = [{}, []];
-  for (const part of fragment.replace(/^#/, "").split("&").filter(Boolean)) {
-    const [name, text] = [part.split("=", 1)[0], part.slice(part.indexOf("=") + 1)];
-    const value = Object.hasOwn(read, name) && part.includes("=") ? read[name](text) : undefined;
+  for (const [name, text] of new URLSearchParams(fragment.slice(1))) {
+    const value = Object.hasOwn(read, name) ? read[name](text) : undefined;
     if (value === undefined) wrong.push(name.slice(0, 20));
     else scene[name] = value;
   }

@@ -27,8 +27,8 @@ function coloursOf(pilots, policies, { known, others }, ink) {
 }
 
 /**
- * What a drone senses, in its own frame: itself in the middle, ahead of it up, and nothing behind it but the way to the goal,
- * if there is one: right, forward [-1 to 1] and away [px].
+ * What a drone senses, in its own frame: itself in the middle, ahead of it up, and nothing behind it but the way
+ * to the goal, if there is one: right, forward [-1 to 1] and away [px].
  */
 function drawSlots(canvas, { world, slots, way, mine }) {
   const { context, width, colours } = fit(canvas);

@@ -23,7 +23,15 @@ class Playground extends Playing {
     this.rows = []; // of a person's finished episodes that are not kept yet
     this.share = 1; // of the way from the last poses to these
     this.keyboard = new Keyboard(this);
-    this.listen();
+    this.listenTo(document);
+    this.controls = [...document.querySelectorAll("[data-scene]")];
+    for (const control of this.controls) {
+      const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
+      control.addEventListener(control.type === "range" ? "input" : "change", () => this.set(control.id, text()));
+    }
+    this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
+    addEventListener("hashchange", () => this.open());
+    watchLooks(document.body, () => this.show());
     this.open();
   }
 
@@ -79,18 +87,6 @@ class Playground extends Playing {
 
   tell(words) {
     say(this.find("notice"), words);
-  }
-
-  listen() {
-    this.listenTo(document);
-    this.controls = [...document.querySelectorAll("[data-scene]")];
-    for (const control of this.controls) {
-      const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
-      control.addEventListener(control.type === "range" ? "input" : "change", () => this.set(control.id, text()));
-    }
-    this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
-    addEventListener("hashchange", () => this.open());
-    watchLooks(document.body, () => this.show());
   }
 
   /** The person steers: the first key or touch begins the race, and brings that drone into focus. */
@@ -200,6 +196,7 @@ class Playground extends Playing {
     }
     stage.select(stage.drawing && race.circles.length ? 0 : -1);
     document.body.classList.toggle("drawing", stage.drawing);
+    this.find("draw").setAttribute("aria-pressed", String(stage.drawing));
     this.show();
   }
 
@@ -336,7 +333,6 @@ class Playground extends Playing {
     this.stage.draw(this.share, this.focus);
     panel.showRace(race, this.focus, pilots);
     panel.showDrone(race, this.focus, pilots[this.focus]);
-    this.showTime();
     this.showPilot();
     this.showWorld();
     this.showBanner();
@@ -351,23 +347,16 @@ class Playground extends Playing {
     }
   }
 
-  /** Whether time goes, and how to steer or to draw. */
-  showTime() {
-    const { race, stage, find } = this;
-    find("draw").setAttribute("aria-pressed", String(stage.drawing));
-    find("they-move").hidden = !race.task.moves;
-    say(find("steering"), race.yours
-      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
-      : "To fly by hand, choose a drone and take it.");
-  }
-
-  /** Who flies the drone in focus, or will from the next start. */
+  /** Who flies the drone in focus, or will from the next start, and how a person steers. */
   showPilot() {
     const { race, scene, find } = this;
     const next = scene.pilots[this.focus];
     const ended = next === race.drones[this.focus].pilot ? "" : "This drone's episode has ended: the next start hands it over. ";
     say(find("take"), next === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
     say(find("focus-number"), String(scene.focus));
+    say(find("steering"), race.yours
+      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
+      : "To fly by hand, choose a drone and take it.");
     say(find("acts"), `${ended}${race.policyOf(next)?.told ?? ""}`);
     for (const option of find("pilot").options) {
       option.selected = option.value === next;
@@ -380,6 +369,7 @@ class Playground extends Playing {
     const { race, scene, find } = this;
     const { settings, policies, about, layouts } = this.data;
     for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
+    find("they-move").hidden = !race.task.moves;
     find("k").value = race.circles.length;
     find("k").disabled = this.stage.drawing;
     say(find("k-now"), String(race.circles.length));

@@ -40,7 +40,7 @@ class Race {
 
   /** Whether all circles leave free what they must, as far as a link can say. */
   circlesFit() {
-    return this.circles.every((circle) => this.free.every(([x, y, room]) => isClear([x, y, room - ROUNDED], circle)));
+    return this.circles.every((circle) => this.free.every((place) => toEdge(place, circle) >= place[2] - ROUNDED));
   }
 
   /** Every drone back at the start, on the same obstacles and with the same random numbers. */

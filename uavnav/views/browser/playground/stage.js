@@ -22,7 +22,7 @@ function allowed(world, [x, y, radius], free) {
   const size = clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max);
   const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height), size];
   const circle = inside.map((number) => f32(Math.round(10 * number) / 10));
-  return free.every((place) => isClear(place, circle)) ? circle : undefined;
+  return free.every((place) => toEdge(place, circle) >= place[2]) ? circle : undefined;
 }
 
 class Stage {
@@ -76,9 +76,8 @@ class Stage {
   /** Take hold of a circle by its inside or its edge, or begin a new one. */
   grasp([x, y]) {
     const { circles } = this.app.race;
-    const gap = ([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius;
-    this.selected = circles.findLastIndex((circle) => gap(circle) < EDGE / 2);
-    const isSized = this.selected < 0 || gap(circles[this.selected]) > -EDGE;
+    this.selected = circles.findLastIndex((circle) => toEdge([x, y], circle) < EDGE / 2);
+    const isSized = this.selected < 0 || toEdge([x, y], circles[this.selected]) > -EDGE;
     if (this.selected < 0 && !this.app.add([x, y, 0])) return;
     const [cx, cy, radius] = this.app.race.circles[this.selected];
     this.held = ([toX, toY]) => {
@@ -98,10 +97,10 @@ class Stage {
     if (there) this.app.edit(this.app.race.circles.with(this.selected, there), this.selected);
   }
 
-  erase(event, [x, y]) {
+  erase(event, point) {
     if (this.drawing || this.touched) event.preventDefault();
     if (!this.drawing || this.touched) return;
-    this.selected = this.app.race.circles.findLastIndex(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) < radius);
+    this.selected = this.app.race.circles.findLastIndex((circle) => toEdge(point, circle) < 0);
     this.app.remove();
   }
 

@@ -89,7 +89,7 @@ def test_an_episode_that_ends_says_how_and_when(chrome):
     words = "const page = document.getElementById('together').cloneNode(true);"
     words += "const data = JSON.parse(document.getElementById('together-data').textContent);"
     words += (
-        "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
+        "const one = new Together(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
     )
     words += "return one.drones.map(({ output, episode }) =>"
     words += " [output.textContent, episode.ended, episode.steps]); })"

@@ -95,7 +95,7 @@ def player(browser):
 
 def test_one_file_below_25_mb_loads_nothing_else_and_complains_of_nothing(browser, page, player):
     assert page.stat().st_size < 25e6
-    player.find_element(By.CSS_SELECTOR, "[aria-label=play]").click()
+    player.find_element(By.CSS_SELECTOR, "[data-act=toggle]").click()
     asked = requested(browser)
     assert page.as_uri() in asked
     assert [url for url in asked if url != page.as_uri() and not url.startswith("data:")] == []
@@ -223,7 +223,7 @@ def test_a_replay_plays_pauses_by_space_and_its_end_says_what_happened(browser, 
     assert status.text.startswith(f"step {there + 1} of {last}: reward so far ")
     Select(one(browser, ".replay-transport select")).select_by_visible_text("4×")
     scrub(browser, slider, max(last - 20, 0))
-    one(browser, ".replay [aria-label=play]").click()
+    one(browser, ".replay [data-act=toggle]").click()
     wait(browser, lambda: value(slider) == last, 30)
     wait(browser, lambda: status.text.endswith(("collision", "truncated")))
 

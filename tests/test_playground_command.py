@@ -147,7 +147,8 @@ def test_a_rung_and_a_layout_file_are_on_the_page_under_their_names(tmp_path, ca
         assert main(["play", "reactive", "--layouts", str(word), "--layout", "2", "--out", out]) == 0
         data = contents(Path(out))
         assert data["scene"]["layouts"] == name
-        assert data["layouts"]["drone"][name]["shape"] == shape
+        packed = [base64.b64decode(one["circles"]) for one in data["layouts"]["drone"][name]]
+        assert [len(packed), len(packed[0]) / 12, data["layouts"]["drone"][name][0]["columns"]] == shape
     assert list(data["layouts"]["drone"]) == ["test", "validation", "train", "density-12/test"]
 
 

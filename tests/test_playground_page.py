@@ -2,6 +2,7 @@
 
 import json
 import time
+from urllib.parse import unquote
 
 import numpy as np
 import pandas as pd
@@ -120,7 +121,7 @@ def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
         browser.execute_script("location.hash = arguments[0]", f"speed=2&{bad}")
         wait(browser, lambda: one(browser, "#notice").is_displayed())
         assert ask(browser, "playground.scene") == {**first, "speed": 2}, bad
-        name = ask(browser, "location.hash").partition("&")[2].partition("=")[0][:20]
+        name = unquote(ask(browser, "location.hash").partition("&")[2].partition("=")[0])[:20]
         assert one(browser, "#notice").text == f"Left out of the link, because it is not right: {name}."
         browser.execute_script("location.hash = ''")
         wait(browser, lambda: not one(browser, "#notice").is_displayed())

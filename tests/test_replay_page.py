@@ -65,7 +65,7 @@ def test_obstacles_stand_where_they_stood_at_each_step_and_a_reached_goal_is_tol
         "PPO (box), sampled, a box in 3D, moving spheres",
     ]
     data = "JSON.parse(document.getElementById('replay-data').textContent)"
-    read = {"world", "layouts", "actions", "fields", "configurations"}
+    read = {"world", "layouts", "actions", "values", "fields", "configurations"}
     assert {*ask(chrome, f"Object.keys({data})")} == read
     there = ask(chrome, f"around({data}, {data}.configurations[0], {{ layout: 0 }}, 7).circles")
     all_layouts = layouts.load("test", MovingWorld())[:1]

@@ -89,7 +89,7 @@ def test_a_notebook_is_a_page_of_all_its_headings_and_code_cells(site, notebook)
 
 
 def test_the_playground_of_the_committed_runs_is_a_page_and_two_pages_lead_to_it(site):
-    assert "const playground = startPlayground(" in site["fly.html"]
+    assert "const playground = new Playground(" in site["fly.html"]
     assert site["fly.html"].count('"key":') == 24
     for name in ("index.html", "playground.html"):
         assert re.search(r'<a href="?fly\.html"?>Fly it here</a>', site[name]), name
@@ -101,7 +101,7 @@ def test_the_front_page_is_the_reports_first_screen_and_its_number_leads_to_the_
     sentence = re.search(r"<h1>(.*?)<a ", screen)[1]
     assert sentence in site["index.html"]
     assert site["index.html"].count("<canvas role") == screen.count("<canvas role") == 3
-    assert 'startTogether(document.getElementById("together")' in site["index.html"]
+    assert 'new Together(document.getElementById("together")' in site["index.html"]
     row = re.search(r'href="?report/report\.html#(row-verdicts-\d+)', site["index.html"])[1]
     assert f'id="{row}"' in report
     assert re.search(r'href="?report/report\.html#row-verdicts-\d+', site["results.html"])

@@ -161,7 +161,6 @@ PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
 TEMPLATES.globals |= {
     "css": Markup(browser.joined(STYLES)),
     "js": Markup(browser.joined(PLAYER)),
-    "values": browser.VALUES,
     "folding": Markup(browser.joined([HERE / "page.js"])),
     "renewing": Markup(browser.joined([HERE / "renew.js"])),
 }

@@ -28,11 +28,9 @@ from uavnav.runs.policies import Policy, PolicyError, load_policy
 from uavnav.stats import Array
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import AnyPolicy, reactive
-from uavnav.tasks.dynamics import decode
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.goal import Goal
 from uavnav.tasks.space import SpaceWorld
-from uavnav.tasks.space import decode as decode_in_3d
 from uavnav.tasks.state import State
 from uavnav.tasks.table import name_of, unusual
 from uavnav.tasks.task import Task
@@ -126,9 +124,11 @@ def record(
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
         name |= {"accent": configuration.colour} if configuration.colour else {}
         own = [episode for _ in population for episode in next(flown[split])]
-        name |= _place(next(iter(population.values())).task, split, configuration.layouts or usual)
+        where = _place(next(iter(population.values())).task, split, configuration.layouts or usual)
+        words = [f"{configuration.algorithm.upper()} {configuration.label}", "sampled"]
+        name["name"] = ", ".join([*words, *(one["title"] for one in where.values())])
         values = ALGORITHMS[configuration.algorithm].shown
-        shown.append(name | {"values": values, "mode": "sampled", "episodes": own})
+        shown.append(name | where | {"values": values, "episodes": own})
     places = [*usual, *(place for one in configurations for place in one.layouts)]
     return {
         **_constants(world),
@@ -146,15 +146,12 @@ def _sparse(rows: Sequence[Any], shown: Sequence[int]) -> list[Any]:
 
 def _constants(world: World | SpaceWorld) -> dict[str, Any]:
     """The constants of a world, what each action does there, and the fields of an episode's bytes."""
-    every = torch.arange(world.n_actions)
-    parts: tuple[Tensor, ...]
-    if isinstance(world, SpaceWorld):
-        fields, parts = IN_3D, decode_in_3d(every, world)  # yaw, pitch [degrees], distance [px]
-    else:
-        fields, parts = FIELDS, decode(every, world)  # turn [degrees], distance [px]
+    fields = IN_3D if isinstance(world, SpaceWorld) else FIELDS
     columns = _columns(world)
     told = [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in fields.items()]
-    return {"world": world.model_dump(), "actions": torch.stack(parts, -1).tolist(), "fields": told}
+    actions = browser.actions(world)
+    shown = {"actions": actions, "values": browser.picture(actions)}
+    return {"world": world.model_dump(), "fields": told} | shown
 
 
 def _columns(world: World) -> dict[str, int]:
@@ -252,11 +249,9 @@ def _place(task: WrappedTask, split: str, chosen: Sequence[int]) -> dict[str, An
     words = [word for word, is_so in found.items() if is_so]
     if not words:
         return {}
-    circles = _sparse(_layouts(task, split).double().tolist(), chosen)
-    if isinstance(task.task, Goal):
-        shown = [one and {"circles": one[:-1], "goal": one[-1][:2]} for one in circles]
-    else:
-        shown = [one and {"circles": one} for one in circles]
+    shown = _sparse(
+        browser.placed(_layouts(task, split).double().tolist(), isinstance(task.task, Goal)), chosen
+    )
     place = {"task": name, "title": ", ".join(words), "layouts": shown, "max_steps": task.max_steps}
     return {"place": place | _constants(task.world)}
 

@@ -13,10 +13,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jinja2
+import torch
 from markupsafe import Markup
 
 from uavnav.tasks import baselines, classics, goal, slalom
+from uavnav.tasks.dynamics import decode
+from uavnav.tasks.space import SpaceWorld
+from uavnav.tasks.space import decode as decode_in_3d
 from uavnav.tasks.table import TASKS
+from uavnav.tasks.world import World
 
 HERE = Path(__file__).parent
 WORLD = (HERE / "world.js", HERE / "layouts.js", HERE / "drawing.js")
@@ -25,8 +31,7 @@ WORLD = (HERE / "world.js", HERE / "layouts.js", HERE / "drawing.js")
 PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")  # what a page with recorded episodes needs
 STYLES = (HERE / "replay.css", HERE / "values.css")
 """Its looks."""
-VALUES = Markup((HERE / "values.html").read_text(encoding="utf-8"))
-"""The inside of a picture of one value for each action."""
+VALUES = jinja2.Template((HERE / "values.html").read_text(encoding="utf-8"), autoescape=True)
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
@@ -60,6 +65,34 @@ def constants() -> dict[str, dict[str, Any]]:
         }
         for name, kind in kinds.items()
     }
+
+
+def placed(layouts: Sequence[Sequence[list[float]]], has_goal: bool) -> list[dict[str, Any]]:
+    """Layouts, given by rows, as `world.js` has them: circles or spheres, and the goal (the last row)."""
+    if has_goal:
+        return [{"circles": rows[:-1], "goal": rows[-1][:2]} for rows in layouts]
+    return [{"circles": [row for row in rows if row != [*slalom.NOWHERE]]} for rows in layouts]
+
+
+def actions(world: World | SpaceWorld) -> list[list[int]]:
+    """What each action of a world does: turn [degrees] and distance [px], in 3D yaw, pitch and distance."""
+    every = torch.arange(world.n_actions)
+    parts = decode_in_3d(every, world) if isinstance(world, SpaceWorld) else decode(every, world)
+    return torch.stack([*parts], -1).tolist()
+
+
+def picture(actions: Sequence[Sequence[int]]) -> Markup:
+    """The inside of a picture of one value for each action, whose squares `showValues` of drawing.js colours.
+
+    Left turns are to the left, and the longer way is the higher; in 3D so in each pitch.
+    """
+    turns, ways = (sorted({one[part] for one in actions}, reverse=True) for part in (0, -1))
+    pitches = sorted({one[1] for one in actions if len(one) > 2}, reverse=True)
+    places = []
+    for turn, *pitch, way in actions:
+        row = ways.index(way) + sum(len(ways) * pitches.index(one) for one in pitch)
+        places.append((row + 1, turns.index(turn) + 1))
+    return Markup(VALUES.render(turns=turns, pitches=pitches, ways=ways, places=places))
 
 
 def as_json(data: Any) -> Markup:

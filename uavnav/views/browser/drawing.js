@@ -1,5 +1,6 @@
 /*
- * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
+ * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for
+ * numbers, too, and what plays.
  *
  * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle, each as a canvas takes it.
  */
@@ -23,19 +24,11 @@ function short(number) {
 
 /** An action: [degrees, px], or of a box [yaw, pitch, px]. */
 function inWords(action) {
-  const [degrees, pixels, pitch] = [action[0], action.at(-1), pitchOf(action)];
+  const [degrees, pitch = 0] = action.slice(0, -1);
+  const pixels = action.at(-1);
   const turn = degrees === 0 ? "no turn" : `turn ${Math.abs(degrees)}° ${degrees > 0 ? "left" : "right"}`;
   const tilt = pitch === 0 ? "" : `, nose ${Math.abs(pitch)}° ${pitch > 0 ? "up" : "down"}`;
   return `${turn}${tilt}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
-}
-
-function pitchOf(action) {
-  return action.length > 2 ? action[1] : 0;
-}
-
-/** Base64 as bytes. */
-function bytesOf(text) {
-  return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
 }
 
 /** A text of an element, written only where it is another. */
@@ -46,18 +39,75 @@ function say(element, text) {
 const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
 
-/** Call `picture` with the seconds since the last one, at each picture while `owner` plays; one loop at a time. */
-function everyPicture(owner, picture) {
-  let before = performance.now();
-  const turn = (owner.turn = {});
-  const tick = (now) => {
-    if (!owner.playing || owner.turn !== turn) return;
-    const passed = clamp((now - before) / 1000, 0, LONGEST_PAUSE); // a tick may lie before the click
-    before = now;
-    picture(passed);
+/** The name of a key, whether Shift is down or not. */
+function nameOfKey({ key }) {
+  return key === " " ? "space" : key.toLowerCase();
+}
+
+/** The same if nothing else uses it: a button has Space and Enter, a slider arrows, a field or a list all. */
+function freeKey(event) {
+  const [key, { target }] = [nameOfKey(event), event];
+  const pressed = target.closest("button, summary") && ["space", "enter"].includes(key);
+  const slid = target.closest("input[type=range]") && key.startsWith("arrow");
+  const taken = pressed || slid || target.closest("select, input:not([type=range])");
+  return taken || event.altKey || event.ctrlKey || event.metaKey ? undefined : key;
+}
+
+/**
+ * What plays: a class of it says how to begin (`start`), to end (`pause`), and what a picture needs (`frame`).
+ * In its place on the page an element with `data-act` calls a method, with the number of its `data-by`: a button
+ * by a click, and any by its `data-keys`, where it `data-repeats` also while one is held down. One button's act
+ * is `toggle`.
+ */
+class Playing {
+  #playing = false;
+
+  listenTo(place) {
+    this.button = place.querySelector("button[data-act=toggle]");
+    for (const button of place.querySelectorAll("button[data-act]")) {
+      button.addEventListener("click", () => this.act(button));
+    }
+    place.addEventListener("keydown", (event) => {
+      const key = freeKey(event);
+      const named = key && place.querySelector(`[data-keys~="${CSS.escape(key)}"]`);
+      if (!named) return;
+      event.preventDefault();
+      if (!event.repeat || "repeats" in named.dataset) this.act(named);
+    });
+  }
+
+  act({ dataset: { act, by } }) {
+    this[act](Number(by));
+  }
+
+  get playing() {
+    return this.#playing;
+  }
+
+  set playing(playing) {
+    this.#playing = playing;
+    this.button.textContent = playing ? "Pause" : "Play";
+  }
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.start();
+  }
+
+  /** Call `frame` at each picture with the seconds since the last, while this plays; one loop at a time. */
+  play() {
+    let before = performance.now();
+    const turn = (this.turn = {});
+    const tick = (now) => {
+      if (!this.playing || this.turn !== turn) return;
+      const passed = clamp((now - before) / 1000, 0, LONGEST_PAUSE); // a tick may lie before the click
+      before = now;
+      this.frame(passed);
+      requestAnimationFrame(tick);
+    };
+    this.playing = true;
     requestAnimationFrame(tick);
-  };
-  requestAnimationFrame(tick);
+  }
 }
 
 /** Have `draw` called when a canvas in an element has another size, now too, and when the colours change. */
@@ -81,25 +131,26 @@ function inkOn(colour) {
 
 /** Fit a canvas to its place on the screen, sharp on any; its context, cleared, in CSS px, its size and the colours there. */
 function fit(canvas) {
-  const sharpness = window.devicePixelRatio || 1;
   const { width, height } = canvas.getBoundingClientRect();
-  const size = [width, height].map((side) => Math.max(1, Math.round(side * sharpness)));
-  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  const size = [width, height].map((side) => Math.max(1, Math.round(side * devicePixelRatio)));
+  [canvas.width, canvas.height] = size; // which clears it
   const context = canvas.getContext("2d");
-  context.setTransform(sharpness, 0, 0, sharpness, 0, 0);
-  context.clearRect(0, 0, width, height);
+  context.scale(devicePixelRatio, devicePixelRatio);
   return { context, width, height, colours: readColours(canvas) };
 }
 
-function disc(context, x, y, radius) {
+function disc(context, x, y, radius, colour) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = colour;
   context.fill();
 }
 
-function ring(context, x, y, radius) {
+function ring(context, x, y, radius, width, colour) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.lineWidth = width;
+  context.strokeStyle = colour;
   context.stroke();
 }
 
@@ -145,9 +196,8 @@ function drawSensor(context, world, { x, y, angle }, colours) {
 function drawDrone(context, world, { x, y, angle, reach = 1 }, crashed, thick, colours) {
   const radius = world.drone_radius;
   const at = (turn, share) => [x + share * radius * Math.cos(angle + turn), y + share * radius * Math.sin(angle + turn)];
-  context.fillStyle = colours.accent;
   context.globalAlpha = crashed ? 0.35 : 1;
-  disc(context, x, y, radius);
+  disc(context, x, y, radius, colours.accent);
   context.globalAlpha = 1;
   if (crashed) {
     for (const turn of [Math.PI / 4, (3 * Math.PI) / 4]) line(context, [at(turn, 1), at(turn + Math.PI, 1)], 4 * thick, colours.accent);
@@ -172,9 +222,7 @@ function drawFading(context, trail, width, colour) {
 
 /** A rim around a drone, and its sign behind its line, upright whatever the drone's heading. */
 function drawSign(context, world, { x, y, angle }, sign, colours) {
-  context.lineWidth = 2;
-  context.strokeStyle = colours.fg;
-  ring(context, x, y, world.drone_radius);
+  ring(context, x, y, world.drone_radius, 2, colours.fg);
   context.save();
   context.translate(x - 0.42 * world.drone_radius * Math.cos(angle), y - 0.42 * world.drone_radius * Math.sin(angle));
   context.scale(1, -1);
@@ -191,16 +239,14 @@ const AHEAD = 12; // [steps] that the line of a moving circle shows
 /** Where a circle that moves will be soon: a line from its centre. */
 function drawDrift(context, [x, y, , vx, vy], thick, colours) {
   line(context, [[x, y], [x + AHEAD * vx, y + AHEAD * vy]], 2 * thick, colours.muted);
-  context.fillStyle = colours.muted;
-  disc(context, x, y, 3 * thick);
+  disc(context, x, y, 3 * thick, colours.muted);
 }
 
 /** A goal: the ring within which it is reached, and a mark in its middle. */
 function drawGoal(context, world, [x, y], thick, colours) {
-  context.strokeStyle = context.fillStyle = colours.fg;
-  context.lineWidth = 3 * thick;
-  for (const radius of [world.goal_radius, world.goal_radius / 2]) ring(context, x, y, radius);
-  disc(context, x, y, world.goal_radius / 6);
+  const radius = world.goal_radius;
+  for (const reach of [radius, radius / 2]) ring(context, x, y, reach, 3 * thick, colours.fg);
+  disc(context, x, y, radius / 6, colours.fg);
 }
 
 /** A drone with its sensor, its trail and what it senses: see drawArena. */
@@ -212,8 +258,7 @@ function drawFlight(context, world, drone, thick, given) {
   for (const point of sensed) line(context, [[pose.x, pose.y], point], 1.5 * thick, colours.fg);
   drawDrone(context, world, pose, crashed, thick, colours);
   if (sign && !crashed) drawSign(context, world, pose, sign, colours);
-  context.fillStyle = colours.fg;
-  for (const point of sensed) disc(context, ...point, 5 * thick);
+  for (const point of sensed) disc(context, ...point, 5 * thick, colours.fg);
 }
 
 /**
@@ -231,13 +276,12 @@ function drawArena(canvas, { world, circles, pale = [], goal, drones }) {
   context.fillRect(0, 0, width, scale * world.height);
   context.transform(scale, 0, 0, -scale, 0, scale * world.height); // the one place where y is flipped
   context.lineCap = context.lineJoin = "round";
-  context.fillStyle = colours.obstacle;
   for (const [x, y, radius, opacity] of pale) {
     context.globalAlpha = opacity;
-    disc(context, x, y, radius);
+    disc(context, x, y, radius, colours.obstacle);
   }
   context.globalAlpha = 1;
-  for (const [x, y, radius] of circles) disc(context, x, y, radius);
+  for (const [x, y, radius] of circles) disc(context, x, y, radius, colours.obstacle);
   drawBorder(context, world, colours);
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
   for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
@@ -254,39 +298,16 @@ function colourOf(share) {
 }
 
 /**
- * Give a picture of values (values.html) a square for each action: left turns to the left, and the longer way the higher;
- * of a box so in each pitch.
- */
-function layOut(picture, actions) {
-  const all = (part) => [...new Set(actions.map(part))].sort((a, b) => b - a);
-  const [turns, ways, pitches] = [all((action) => action[0]), all((action) => action.at(-1)), all(pitchOf)];
-  const flat = pitches.length === 1;
-  const fill = (part, texts) => {
-    const made = texts.map((textContent) => Object.assign(document.createElement("span"), { textContent }));
-    picture.querySelector(`.values-${part}`).replaceChildren(...made);
-    return made;
-  };
-  fill("title", [flat ? "distance [px]" : `pitch [°], in each ${ways.join(", ")} px`]);
-  fill("marks", flat ? ways : pitches.map((pitch) => fixed(pitch, 0)));
-  fill("turns", turns.map((turn) => (turn === 0 ? "0" : `${Math.abs(turn)}°`)));
-  fill("actions", actions.map(() => "")).forEach((square, place) => {
-    const action = actions[place];
-    const row = ways.length * pitches.indexOf(pitchOf(action)) + ways.indexOf(action.at(-1));
-    square.style.gridArea = `${row + 1} / ${turns.indexOf(action[0]) + 1}`;
-  });
-  const colours = CIVIDIS.map((colour) => `rgb(${colour.join(" ")})`);
-  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours.join(", ")})`;
-}
-
-/**
- * Colour the squares of a picture, each by its `shares` of the way from the value `low` to `high`, and frame the chosen one.
- * Without shares it has the words that `instead` gives.
+ * Colour the squares of a picture of values (values.html), each by its `shares` of the way from the value `low`
+ * to `high`, and frame the chosen one. Without shares it has the words that `instead` gives.
  */
 function showValues(picture, { instead = "", shares, chosen, low, high }) {
   [...picture.querySelector(".values-actions").children].forEach((square, action) => {
     square.style.background = shares ? colourOf(shares(action)) : "";
     square.classList.toggle("chosen", action === chosen);
   });
+  const colours = CIVIDIS.map((colour) => `rgb(${colour.join(" ")})`);
+  picture.querySelector(".values-colours").style.background = `linear-gradient(to right, ${colours})`;
   picture.querySelector(".values-legend").style.visibility = shares ? "visible" : "hidden";
   say(picture.querySelector(".values-low"), shares ? short(low) : "");
   say(picture.querySelector(".values-high"), shares ? short(high) : "");

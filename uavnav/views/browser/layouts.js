@@ -14,21 +14,21 @@ function randomNumbers(seed) {
   };
 }
 
-/** Whether a circle leaves a place [x, y, room] free, such as the start: sec. 4.1. */
-function isClear([atX, atY, room], [x, y, radius]) {
-  return Math.hypot(x - atX, y - atY) - radius >= room;
+/** Distance [px] from a place to the edge of a circle, negative inside. */
+function toEdge([atX, atY], [x, y, radius]) {
+  return Math.hypot(x - atX, y - atY) - radius;
 }
 
-/** k circles: radius and centre uniform, the centre drawn again until the start is free. More circles keep the first. */
+/** k circles, of uniform radius and centre, drawn again until the start is free: sec. 4.1. More keep the first. */
 function generate(world, k, seed) {
   const draw = randomNumbers(seed);
-  const start = [world.width / 2, world.height / 2, world.safe_zone];
+  const start = [world.width / 2, world.height / 2];
   const span = world.obstacle_radius_max - world.obstacle_radius_min;
   return Array.from({ length: k }, () => {
     const radius = f32(world.obstacle_radius_min + span * draw());
     let circle;
     do circle = [f32(world.width * draw()), f32(world.height * draw()), radius];
-    while (!isClear(start, circle));
+    while (toEdge(start, circle) < world.safe_zone);
     return circle;
   });
 }
@@ -62,26 +62,21 @@ function withVelocities(circles, low, high, seed) {
 }
 
 /** The places of a grid that the drone can reach from the start: [x, y] px. */
-function reachable({ width, height, border, drone_radius: radius }, circles, grid) {
-  const rows = height / grid + 1;
-  const seen = new Uint8Array((width / grid + 1) * rows);
-  const waiting = [Math.round(width / 2 / grid) * rows + Math.round(height / 2 / grid)];
-  const found = [];
-  while (waiting.length) {
-    const place = waiting.pop();
-    if (seen[place]) continue;
-    seen[place] = 1;
-    const [x, y] = [Math.floor(place / rows) * grid, (place % rows) * grid];
-    if (roomAt({ width, height, border }, circles, x, y) <= radius) continue; // so never beyond the border
-    found.push([x, y]);
-    waiting.push(place - rows, place + rows, place - 1, place + 1);
+function reachable(world, circles, grid) {
+  const found = new Map();
+  const waiting = [[world.width / 2, world.height / 2]];
+  for (const [x, y] of waiting) {
+    const isFree = roomAt(world, circles, x, y) > world.drone_radius; // so never beyond the border
+    if (!isFree || found.has(`${x} ${y}`)) continue;
+    found.set(`${x} ${y}`, [x, y]);
+    waiting.push([x - grid, y], [x + grid, y], [x, y - grid], [x, y + grid]);
   }
-  return found;
+  return [...found.values()];
 }
 
 /** Distance [px] from a place to the nearest edge of circles or of the border. */
 function roomAt({ width, height, border }, circles, x, y) {
-  const edges = circles.map(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius);
+  const edges = circles.map((circle) => toEdge([x, y], circle));
   return Math.min(x - border, width - border - x, y - border, height - border - y, ...edges);
 }
 

@@ -1,5 +1,5 @@
 /*
- * The player of recorded episodes: startReplays(root, data) shows it, which is the template inside an element.
+ * The player of recorded episodes: new Player(root, data) shows it, which is the template inside an element.
  *
  * `data` is what uavnav/views/replays.py records; drawing.js draws it, and box.js says what is seen of what is in 3D. Nothing
  * moves before the reader asks for it.
@@ -9,14 +9,10 @@ const TYPES = {
   uint8: Uint8Array, int8: Int8Array, uint16: Uint16Array, int16: Int16Array, float32: Float32Array,
 }; // of a field; bytes are little-endian, as those of every browser are
 
-async function inflate(text) {
-  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Response(stream).arrayBuffer();
-}
-
 /** The fields of an episode by name: each a function of the step (and the column) that gives the number. */
 async function unpack(episode, fields) {
-  const bytes = await inflate(episode.bytes);
+  const packed = new Blob([Uint8Array.fromBase64(episode.bytes)]).stream();
+  const bytes = await new Response(packed.pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
   const read = {};
   let start = 0;
   for (const { name, type, unit, chosen, columns } of fields) {
@@ -29,11 +25,6 @@ async function unpack(episode, fields) {
   return read;
 }
 
-/** A configuration in words, and where it flies if that has a name. */
-function named({ algorithm, label, mode, place }) {
-  return [`${algorithm.toUpperCase()} ${label}`, mode, ...(place ? [place.title] : [])].join(", ");
-}
-
 /** What stands around an episode at a step: { circles, goal }. */
 function around({ layouts }, { place }, { layout }, step) {
   if (!place) return { circles: layouts[layout] };
@@ -42,22 +33,22 @@ function around({ layouts }, { place }, { layout }, step) {
   return { circles: new TASKS[place.task](place).obstacles(shown, step), goal: shown.goal };
 }
 
-/** A drone as drawArena or viewOf takes it: where it is at a step, what it senses, and the trail of so many steps. */
-function droneAt(world, read, step, trail = Infinity) {
-  const inBox = Boolean(world.depth);
-  const place = (at) => (inBox ? ["x", "y", "z"] : ["x", "y"]).map((axis) => read[axis](at));
+/**
+ * A drone as drawArena or viewOf takes it: where it is at a step, what it senses, the trail of so many steps.
+ * read: of an episode, as `unpack` gives it.
+ */
+function droneAt(world, episode, read, step, trail = Infinity) {
+  const has = (name) => name in read; // a box has more
+  const place = (at) => ["x", "y", "z"].filter(has).map((axis) => read[axis](at));
   const [here, angle] = [place(step), radians(read.heading(step))];
-  const names = inBox ? ["right", "up", "forward", "proximity"] : ["right", "forward", "proximity"];
+  const names = ["right", "up", "forward", "proximity"].filter(has);
   const slots = Array.from({ length: world.n_slots }, (_, slot) => names.map((name) => read[name](step, slot)));
   const first = Math.max(0, step - trail);
   const flown = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
-  const axes = inBox ? bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) }) : planeAxes(angle);
+  const axes = has("pitch") ? bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) }) : planeAxes(angle);
   const pose = { x: here[0], y: here[1], angle };
-  return { pose, place: here, axes, trail: flown, sensed: sensedPoints(world, here, axes, slots) };
-}
-
-function crashedAt(episode, step) {
-  return step === episode.steps && episode.ended === "collision";
+  const crashed = step === episode.steps && episode.ended === "collision";
+  return { pose, place: here, axes, trail: flown, sensed: sensedPoints(world, here, axes, slots), crashed };
 }
 
 /** Give a select its choices [value, text], and keep what was chosen if it is still there. */
@@ -66,52 +57,33 @@ function fill(select, choices, wanted = select.value) {
   if (choices.some(([value]) => String(value) === String(wanted))) select.value = wanted;
 }
 
-class Player {
+class Player extends Playing {
   constructor(root, data) {
+    super();
     this.data = data;
+    root.player = this;
     root.replaceChildren(root.querySelector("template").content);
     this.parts = Object.fromEntries(Array.from(root.querySelectorAll("[data-part]"), (part) => [part.dataset.part, part]));
-    this.episode = null; // the one that is shown
-    this.read = null; // its fields, once it is unpacked
     this.step = 0;
-    this.playing = false;
-    fill(this.parts.configuration, data.configurations.map((one, place) => [place, named(one)]));
-    this.listen();
-    this.choose();
-  }
-
-  listen() {
-    const { player, configuration, seed, layout, back, play, forward, slider } = this.parts;
+    fill(this.parts.configuration, data.configurations.map(({ name }, place) => [place, name]));
+    const { player, configuration, seed, layout, slider } = this.parts;
+    this.listenTo(player);
     for (const list of [configuration, seed, layout]) list.addEventListener("change", () => this.choose());
-    play.addEventListener("click", () => this.toggle());
-    back.addEventListener("click", () => this.stepBy(-1));
-    forward.addEventListener("click", () => this.stepBy(1));
     slider.addEventListener("input", () => this.show(Number(slider.value)));
-    player.addEventListener("keydown", (event) => this.press(event));
     watchLooks(player, () => this.draw());
-  }
-
-  /** Keys that an element uses by itself are left to it. */
-  press(event) {
-    const { tagName } = event.target;
-    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (event.altKey || event.ctrlKey || event.metaKey || tagName === "SELECT") return;
-    if (event.key === " " && tagName !== "BUTTON") event.repeat || this.toggle();
-    else if (step && tagName !== "INPUT") this.stepBy(step);
-    else return;
-    event.preventDefault();
+    this.choose();
   }
 
   /** Where the reader is, as `open` takes it. */
   get bookmark() {
     const { seed, layout, speed } = this.parts;
-    const name = named(this.configuration);
+    const { name } = this.configuration;
     return { name, seed: seed.value, layout: layout.value, speed: speed.value, step: this.step };
   }
 
   /** Go where a bookmark of an earlier page says, if its configuration is still there. */
   open({ name, seed, layout, speed, step }) {
-    const place = this.data.configurations.findIndex((one) => named(one) === name);
+    const place = this.data.configurations.findIndex((one) => one.name === name);
     if (place < 0) return;
     this.parts.configuration.value = place;
     this.parts.speed.value = speed;
@@ -129,10 +101,10 @@ class Player {
     const own = episodes.filter((one) => one.seed === Number(parts.seed.value));
     fill(parts.layout, own.map((one) => [one.layout, `${one.layout + 1} (${one.ended} at ${one.steps})`]), layout);
     this.episode = own.find((one) => one.layout === Number(parts.layout.value));
-    layOut(parts.values, place.actions);
+    parts.values.innerHTML = place.values;
     parts.views.classList.toggle("in-3d", Boolean(place.world.depth));
     parts.views.style.setProperty("--accent", this.configuration.accent ?? "");
-    this.read = null;
+    this.read = null; // its fields, once it is unpacked
     parts.status.textContent = "unpacking the episode …";
     const unpacking = (this.unpacking = unpack(this.episode, place.fields));
     try {
@@ -146,40 +118,27 @@ class Player {
     }
   }
 
-  toggle() {
-    if (this.playing) this.pause();
-    else this.start();
-  }
-
   start() {
     if (!this.read) return;
-    this.playing = true;
-    this.mark();
+    this.parts.status.ariaLive = "off"; // not read out while they change all the time
     if (this.step === this.episode.steps) this.show(0);
-    let due = 0; // steps, whole and parts
-    everyPicture(this, (seconds) => {
-      due += seconds * STEPS_PER_SECOND * Number(this.parts.speed.value);
-      const whole = Math.floor(due);
-      due -= whole;
-      if (whole) this.show(this.step + whole);
-      if (this.step === this.episode.steps) this.pause();
-    });
+    this.due = 0; // steps of the next picture, whole and parts
+    this.play();
+  }
+
+  frame(seconds) {
+    this.due += seconds * STEPS_PER_SECOND * Number(this.parts.speed.value);
+    const whole = Math.floor(this.due);
+    this.due -= whole;
+    if (whole) this.show(this.step + whole);
+    if (this.step === this.episode.steps) this.pause();
   }
 
   pause() {
     const played = this.playing;
     this.playing = false;
-    this.mark();
+    this.parts.status.ariaLive = "polite";
     if (played) this.describe(); // once more, now that changes are read out
-  }
-
-  /** What the button says, and whether the words are read out: not while they change all the time. */
-  mark() {
-    const { play, status } = this.parts;
-    play.textContent = this.playing ? "Pause" : "Play";
-    play.title = this.playing ? "pause" : "play";
-    play.setAttribute("aria-label", play.title);
-    status.setAttribute("aria-live", this.playing ? "off" : "polite");
   }
 
   stepBy(steps) {
@@ -215,7 +174,7 @@ class Player {
     if (!this.read) return;
     const { read, step, episode, place: { world } } = this;
     const { arena, side, values } = this.parts;
-    const drone = { ...droneAt(world, read, step), crashed: crashedAt(episode, step) };
+    const drone = droneAt(world, episode, read, step);
     const scene = { world, ...around(this.data, this.configuration, episode, step) };
     if (world.depth) [arena, side].forEach((canvas, nth) => drawArena(canvas, viewOf(VIEWS[nth], { ...scene, drone })));
     else drawArena(arena, { ...scene, drones: [drone] });
@@ -225,9 +184,4 @@ class Player {
       showValues(values, { shares, chosen: read.action(step), low: read.low(step), high: read.high(step) });
     }
   }
-}
-
-/** Show the player inside an element, as its `player`. */
-function startReplays(root, data) {
-  root.player = new Player(root, data);
 }

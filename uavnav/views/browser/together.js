@@ -1,5 +1,5 @@
 /*
- * Recorded episodes side by side on the same obstacles: startTogether(root, data) lets them play by themselves, layout after
+ * Recorded episodes side by side on the same obstacles: new Together(root, data) lets them play by themselves, layout after
  * layout, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
  *
  * `root` contains a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
@@ -11,17 +11,18 @@ const TRAIL = 160; // [steps] that a trail is long
 const STILL = 240; // [steps] where episodes stand that do not play
 const REST = 1.5; // [s] after the last episode of a layout
 
-class Together {
+class Together extends Playing {
   constructor(root, data) {
+    super();
     this.data = data;
+    root.hidden = false;
     this.drones = [...root.querySelectorAll("figure")].map((figure, place) => ({
       canvas: figure.querySelector("canvas"),
       output: figure.querySelector("output"),
       episodes: data.drones[place].episodes,
     }));
-    this.button = root.querySelector("button");
+    this.listenTo(root);
     this.playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.button.addEventListener("click", () => this.toggle());
     watchLooks(root, () => this.draw());
     const palette = new MutationObserver(() => this.draw()); // the button of a site
     palette.observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
@@ -36,53 +37,41 @@ class Together {
     this.layout = layout;
     this.last = Math.max(...episodes.map(({ steps }) => steps));
     this.step = this.playing ? 0 : Math.min(STILL, this.last);
-    this.mark();
     this.draw();
-    if (this.playing) this.play();
+    if (this.playing) this.start();
   }
 
-  toggle() {
-    this.playing = !this.playing;
-    this.mark();
-    if (this.playing) this.play();
+  start() {
+    this.due = this.step; // whole and parts, also beyond the last
+    this.play();
   }
 
-  mark() {
-    this.button.textContent = this.playing ? "Pause" : "Play";
+  pause() {
+    this.playing = false;
   }
 
-  play() {
-    let due = this.step;
-    everyPicture(this, (seconds) => {
-      due += seconds * TOGETHER_SPEED;
-      if (due > this.last + REST * TOGETHER_SPEED) {
-        this.turn = null; // the next layout begins a loop of its own
-        this.load((this.layout + 1) % this.data.layouts.length);
-      } else if (this.step < this.last) {
-        this.step = Math.min(Math.floor(due), this.last);
-        this.draw();
-      }
-    });
+  frame(seconds) {
+    this.due += seconds * TOGETHER_SPEED;
+    if (this.due > this.last + REST * TOGETHER_SPEED) {
+      this.turn = null; // the next layout begins a loop of its own
+      this.load((this.layout + 1) % this.data.layouts.length);
+    } else if (this.step < this.last) {
+      this.step = Math.min(Math.floor(this.due), this.last);
+      this.draw();
+    }
   }
 
   draw() {
     if (this.step === undefined) return;
     for (const { canvas, output, episode, read } of this.drones) {
       const step = Math.min(this.step, episode.steps);
-      const crashed = crashedAt(episode, step);
-      const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed, fades: true };
-      if (crashed) drone.sensed = [];
+      const drone = { ...droneAt(this.data.world, episode, read, step, TRAIL), fades: true };
+      if (drone.crashed) drone.sensed = [];
       drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.layout], drones: [drone] });
       const reward = `reward ${fixed(read.reward(step), 1)}`;
       const at = step.toLocaleString("en");
-      const ended = step < episode.steps ? `step ${at}` : crashed ? `collided at step ${at}` : `stopped at step ${at}`;
-      output.textContent = `${reward}, ${ended}`;
+      const ended = step < episode.steps ? "" : drone.crashed ? "collided at " : "stopped at ";
+      output.textContent = `${reward}, ${ended}step ${at}`;
     }
   }
-}
-
-/** Bring the episodes of a page's first screen to life. */
-function startTogether(root, data) {
-  root.hidden = false;
-  return new Together(root, data);
 }

@@ -32,6 +32,11 @@ function decode(world, action) {
   return [turn <= furthestTurns(world)[1] ? turn : turn - world.n_turns, action % world.n_distances];
 }
 
+/** The turn and the distance of each action. */
+function actionsOf(world) {
+  return Array.from({ length: world.n_turns * world.n_distances }, (_, action) => decode(world, action));
+}
+
 /** The furthest turns of an action [degrees, left positive]: to the right, and to the left. */
 function furthestTurns(world) {
   const left = Math.floor(world.n_turns / 2);
@@ -56,24 +61,15 @@ function toInterval(place, first, side) {
   return f32(clamp(place, first, first + side) - place);
 }
 
-/** Lower ends of the squares of a wall that can be in view, or nearest, from a place along it. */
-function squaresNear(world, place, lowest, highest) {
-  const each = Math.ceil(world.sensor_radius / world.border); // so many a sensor can reach to either side
-  const count = 2 * each + 2;
-  const first = clamp(Math.ceil(f32(place / world.border)) - 1 - each, lowest, highest - count);
-  return Array.from({ length: count }, (_, nth) => (first + nth) * world.border);
-}
-
-/** Offsets [dx, dy] to the nearest points of the border squares of the two nearer walls, in index order. */
-function toSquares(world, x, y) {
-  const { width, height, border } = world;
-  const row = y < height / 2 ? 0 : height - border;
-  const column = x < width / 2 ? 0 : width - border;
-  const dy = toInterval(y, row, border);
-  const dx = toInterval(x, column, border);
-  const along = squaresNear(world, x, 0, width / border).map((left) => [toInterval(x, left, border), dy]);
-  const up = squaresNear(world, y, 1, height / border - 1).map((bottom) => [dx, toInterval(y, bottom, border)]);
-  return [...along, ...up];
+/** Offsets [dx, dy] to the nearest points of the border's squares: those of two rows, then of two columns. */
+function toSquares({ width, height, border }, x, y) {
+  const along = (place, first, count) =>
+    Array.from({ length: count }, (_, nth) => toInterval(place, first + nth * border, border));
+  const across = (place, size) => [0, size - border].map((first) => toInterval(place, first, border));
+  const [lefts, bottoms] = [along(x, 0, width / border), along(y, border, height / border - 2)];
+  const rows = across(y, height).flatMap((dy) => lefts.map((dx) => [dx, dy]));
+  const columns = across(x, width).flatMap((dx) => bottoms.map((dy) => [dx, dy]));
+  return [...rows, ...columns];
 }
 
 function lengthOf(dx, dy) {
@@ -148,6 +144,12 @@ function slotsOf(world, observation) {
   return Array.from({ length: world.n_slots }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
 }
 
+/** The way to the goal in an observation: right, forward and away [px]; undefined where none is sensed. */
+function wayOf(world, observation, scale) {
+  const [right, forward, away] = observation.subarray(3 * world.n_slots);
+  return right === undefined ? undefined : [right, forward, away * scale];
+}
+
 const NO_FAULTS = { noise: 0, lost: 0, late: 0, sticky: 0 }; // [px], probability, [steps], probability
 
 /** How many random numbers a step needs: normal ones of noise, uniform ones of lost echoes, and of a sticky actuator. */
@@ -197,13 +199,6 @@ class Task {
   /** The random layout of a number, with k circles or gaps of so many px: the parts of a scene. */
   generate({ k, layout }) {
     return { circles: generate(this.world, k, layout) };
-  }
-
-  /** The layout whose rows [x, y, radius, ...] a layout file has; rows that no drone can sense fill up a slalom's. */
-  read(rows) {
-    const { width, height, sensor_radius: reach } = this.world;
-    const isThere = ([x, y, radius]) => Math.hypot(x - clamp(x, 0, width), y - clamp(y, 0, height)) <= radius + reach;
-    return { circles: rows.filter(isThere) };
   }
 
   /** A layout with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
@@ -321,10 +316,6 @@ class Moving extends Task {
 class Goal extends Task {
   generate({ k, layout }) {
     return generateGoal(this.world, this.rules, k, layout);
-  }
-
-  read(rows) {
-    return { circles: rows.slice(0, -1), goal: rows.at(-1).slice(0, 2) };
   }
 
   get observationSize() {

@@ -317,13 +317,14 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         data["headers"][name] = splits.read("test", world)[1]
         if name != "slalom":
             data["layouts"][name] = {
-                split: _rows(splits.load(split, world)[:EPISODES]) for split in ALL_SPLITS
+                split: _placed(name, splits.load(split, world)[:EPISODES]) for split in ALL_SPLITS
             }
             if name == scene["task"]:
                 given = splits.load(opening.layouts, world)
                 if not 0 <= opening.layout < len(given):
                     raise ConfigError(f"--layout {opening.layout}: choose from 0 to {len(given) - 1}")
-                data["layouts"][name][scene["layouts"]] = _rows(given[: max(EPISODES, opening.layout + 1)])
+                given = given[: max(EPISODES, opening.layout + 1)]
+                data["layouts"][name][scene["layouts"]] = _placed(name, given)
     algorithms = " and ".join(dict.fromkeys(one["algorithm"].upper() for one in found))
     configurations = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
@@ -337,7 +338,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         splits=[*dict.fromkeys(itertools.chain(*data["layouts"].values())), "random"],
         scripted=SCRIPTED,
         policies=found,
-        values=browser.VALUES,
+        values=browser.picture(browser.actions(World())),
         world=World(),
         others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
         told=f"It contains {len(found)} trained networks: {configurations} pairs of an algorithm and an "
@@ -354,8 +355,11 @@ def _reaching(slider: Setting, value: float) -> Setting:
     return slider._replace(high=max(slider.high, math.ceil(value)), step=step)
 
 
-def _rows(layouts: Tensor) -> dict[str, Any]:
-    return {"shape": list(layouts.shape), "numbers": _base64(layouts)}
+def _placed(task: str, layouts: Tensor) -> list[dict[str, Any]]:
+    """Layouts of a task, the rows of each in base64."""
+    packed = {"columns": layouts.shape[-1]}
+    every = browser.placed(layouts.double().tolist(), task == "goal")
+    return [one | packed | {"circles": _base64(one["circles"])} for one in every]
 
 
 def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
@@ -371,11 +375,11 @@ def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
     stem = Path(opening.layouts).stem
     return {
         "task": task,
+        **settings,
         "layouts": opening.layouts if own else _key(*["own"] * (stem in (*SPLITS, "random")), stem),
         "layout": opening.layout,
         "k": DEFAULT_K,
         "circles": None,
-        **settings,
         "pilots": [*you, *pilots, *["nobody"] * DRONES][:DRONES],
         "focus": 2,
         "speed": 1,

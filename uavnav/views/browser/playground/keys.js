@@ -1,23 +1,15 @@
 /*
- * The keyboard: the arrow keys that steer, and the keys of the page's help, whose `kbd` elements name them in `data-keys` and
- * say what they do as buttons do; `data-repeats` where they act again while they are held down.
+ * The keys that steer. The others are those of the page's help, whose `kbd` elements say what they do.
  */
 
 const STRIDE = { circle: 10, size: 5 }; // [px] that a key moves or sizes a drawn circle
 const ARROWS = { arrowleft: "left", arrowright: "right", arrowup: "up", arrowdown: "down", a: "left", d: "right", w: "up", s: "down" };
 const WAYS = { left: [-1, 0], right: [1, 0], up: [0, 1], down: [0, -1] };
 
-/** The name of a key, whether Shift is down or not. */
-function nameOfKey({ key }) {
-  return key === " " ? "space" : key.toLowerCase();
-}
-
 class Keyboard {
   /** app: the page. */
   constructor(app) {
     this.app = app;
-    const help = [...document.querySelectorAll("[data-keys]")];
-    this.help = Object.fromEntries(help.flatMap((one) => one.dataset.keys.split(" ").map((key) => [key, one])));
     this.held = new Set(); // arrow keys that are down
     this.tapped = new Set(); // those that went down since the last step
     this.fine = false; // whether Shift was down
@@ -26,18 +18,11 @@ class Keyboard {
     addEventListener("blur", () => this.held.clear());
   }
 
-  /** Keys work where nothing else uses them: a button has Space and Enter, a field or a list has all. */
   press(event) {
-    const { stage } = this.app;
-    const key = nameOfKey(event);
-    const taken = event.target.closest("select, input") || (event.target.closest("button, summary") && ["space", "enter"].includes(key));
-    if (taken || event.altKey || event.ctrlKey || event.metaKey) return;
-    const [arrow, act] = [ARROWS[key], this.help[key]];
-    if (!arrow && !act) return;
+    const arrow = ARROWS[freeKey(event)];
+    if (!arrow) return;
     event.preventDefault();
-    if (act) {
-      if (!event.repeat || "repeats" in act.dataset) this.app.act(act);
-    } else if (stage.drawing) {
+    if (this.app.stage.drawing) {
       const [dx, dy] = WAYS[arrow].map((way) => way * (event.shiftKey ? 1 : STRIDE.circle));
       this.app.alter(dx, dy, 0);
     } else this.steer(arrow, event);

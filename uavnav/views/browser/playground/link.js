@@ -66,12 +66,11 @@ function readers(settings, world) {
   return parts;
 }
 
-/** The parts of a scene that a fragment gives, and the names of those that are wrong: [scene, wrong]. */
+/** The parts of a scene that a fragment #... gives, and the names of those that are wrong: [scene, wrong]. */
 function readLink(fragment, read) {
   const [scene, wrong] = [{}, []];
-  for (const part of fragment.replace(/^#/, "").split("&").filter(Boolean)) {
-    const [name, text] = [part.split("=", 1)[0], part.slice(part.indexOf("=") + 1)];
-    const value = Object.hasOwn(read, name) && part.includes("=") ? read[name](text) : undefined;
+  for (const [name, text] of new URLSearchParams(fragment.slice(1))) {
+    const value = Object.hasOwn(read, name) ? read[name](text) : undefined;
     if (value === undefined) wrong.push(name.slice(0, 20));
     else scene[name] = value;
   }
@@ -83,23 +82,19 @@ function readLink(fragment, read) {
  * page, or come otherwise on this one.
  */
 function writeLink(scene, settings) {
-  const own = Object.entries(settings).filter(([name, { first, here, tasks }]) => {
-    const told = scene[name] !== first || here !== first;
-    return told && (!tasks.length || tasks.includes(scene.task));
-  });
-  const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_")).join("~");
-  const parts = {
-    task: scene.task,
-    ...Object.fromEntries(own.map(([name]) => [name, scene[name]])),
-    layouts: scene.layouts,
-    layout: scene.layout,
-    ...(scene.layouts === RANDOM ? { k: scene.k } : {}),
-    ...(scene.circles ? { circles: circles || "none" } : {}),
+  const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_"));
+  const texts = {
+    ...scene,
+    circles: circles?.join("~") || "none",
     pilots: scene.pilots.join("~"),
-    focus: scene.focus,
-    speed: scene.speed,
     greedy: scene.greedy ? "yes" : "no",
-    seed: scene.seed,
   };
-  return Object.entries(parts).map((part) => part.join("=")).join("&");
+  const isTold = ([name]) => {
+    if (name === "k") return scene.layouts === RANDOM;
+    if (name === "circles") return scene.circles !== null;
+    if (!settings[name]) return true;
+    const { first, here, tasks } = settings[name];
+    return (scene[name] !== first || here !== first) && (!tasks.length || tasks.includes(scene.task));
+  };
+  return Object.entries(texts).filter(isTold).map((part) => part.join("=")).join("&");
 }

@@ -26,44 +26,24 @@ function coloursOf(pilots, policies, { known, others }, ink) {
   return pilots.map((pilot) => found.get(pilot).replace("#000000", ink));
 }
 
-/** The way to the goal, from the drone at (x, y): a line, and a ring at its end so many px away. */
-function drawWay(context, [x, y], [right, forward], away, colours) {
-  line(context, [[x, y], [x + away * right, y - away * forward]], 1, colours.muted);
-  context.strokeStyle = colours.fg;
-  context.lineWidth = 2;
-  ring(context, x + away * right, y - away * forward, 5);
-}
-
 /**
- * What a drone senses. Above, in its own frame: itself below, ahead of it up. Below, a bar a slot, the higher the nearer.
- * way: to the goal, if there is one: right, forward [-1 to 1] and away [px].
+ * What a drone senses, in its own frame: itself in the middle, ahead of it up, and nothing behind it but the way
+ * to the goal, if there is one: right, forward [-1 to 1] and away [px].
  */
 function drawSlots(canvas, { world, slots, way, mine }) {
-  const { context, width, height, colours } = fit(canvas);
-  const scale = width / 2 / (1.05 * world.sensor_radius);
-  const [x, y] = [width / 2, 1.05 * scale * world.sensor_radius];
+  const { context, width, colours } = fit(canvas);
+  const side = 1.05 * world.sensor_radius;
+  const scale = width / 2 / side;
   const pose = { x: 0, y: 0, angle: Math.PI / 2 };
   const sensed = sensedPoints(world, [0, 0], planeAxes(pose.angle), slots);
-  context.save();
-  context.beginPath();
-  context.rect(0, 0, width, y);
-  context.clip();
-  context.transform(scale, 0, 0, -scale, x, y);
+  context.transform(scale, 0, 0, -scale, width / 2, width / 2);
   drawFlight(context, world, { pose, trail: [], sensed, accent: mine }, 0.7 / scale, colours);
-  context.restore();
-  if (way) drawWay(context, [x, y], way, scale * Math.min(way[2], 0.9 * world.sensor_radius), colours);
-  const foot = height - 15;
-  const step = width / slots.length;
-  context.font = `12px ${getComputedStyle(canvas).fontFamily}`;
-  context.textAlign = "center";
-  context.textBaseline = "middle";
-  slots.forEach((slot, place) => {
-    context.fillStyle = isFilled(slot) ? colours.fg : colours.muted;
-    const bar = isFilled(slot) ? Math.max(1, (1 - slot[2]) * (foot - y - 8)) : 0;
-    context.fillRect((place + 0.15) * step, foot - bar, 0.7 * step, bar);
-    context.fillText(String(place + 1), (place + 0.5) * step, foot + 9);
-  });
-  line(context, [[0, foot], [width, foot]], 1, colours.muted);
+  context.clearRect(-side, 0, 2 * side, -side);
+  if (!way) return;
+  const away = Math.min(way[2], 0.9 * world.sensor_radius);
+  const end = [away * way[0], away * way[1]];
+  line(context, [[0, 0], end], 1 / scale, colours.muted);
+  ring(context, ...end, 5 / scale, 2 / scale, colours.fg);
 }
 
 /** The hidden layers side by side, a square a unit. */
@@ -88,20 +68,17 @@ class Panel {
   constructor(data, find) {
     Object.assign(this, { data, find });
     this.world = data.tasks.drone.world; // whose drone every world has
-    const { n_turns, n_distances } = this.world;
-    this.actions = Array.from({ length: n_turns * n_distances }, (_, action) => decode(this.world, action));
-    layOut(find("values"), this.actions);
+    this.actions = actionsOf(this.world);
     this.seats = [...document.querySelectorAll(".seat")];
-    this.rows = [...document.querySelectorAll("[data-metric]")].map((row) => [
-      data.metrics.find(({ name }) => name === row.dataset.metric),
-      [...row.cells].slice(1),
-    ]);
+    this.rows = [...document.querySelectorAll("[data-metric]")];
     this.states = [...document.querySelectorAll(".state td")];
+    this.bars = [...document.querySelectorAll("#slots li")];
   }
 
-  /** Who flies which drone, and which is in focus; colours: of each pilot. */
-  showSeats(race, focus, colours) {
-    race.drones.forEach(({ pilot }, place) => {
+  /** Who flies which drone, which is in focus, and how they fare; colours: of each pilot. */
+  showRace(race, focus, colours) {
+    const most = Math.max(...race.flown.map(({ state }) => state.reward));
+    race.drones.forEach(({ pilot, state, ended }, place) => {
       const [who, more] = nameOf(pilot, this.data.policies);
       const seat = this.seats[place];
       say(seat.querySelector(".who"), who);
@@ -109,21 +86,15 @@ class Panel {
       seat.setAttribute("aria-pressed", String(place === focus));
       seat.style.setProperty("--mine", colours[place]);
       seat.style.setProperty("--ink", inkOn(colours[place]));
-    });
-  }
-
-  showRace(race) {
-    const most = Math.max(...race.flown.map(({ state }) => state.reward));
-    race.drones.forEach(({ pilot, state, ended }, place) => {
       const away = !race.canFly(pilot);
       const waits = pilot === YOU && !race.begun && !ended;
       say(this.states[place], pilot === NOBODY ? "" : away ? "cannot fly" : waits ? "waiting" : ENDS[ended]);
-      for (const [metric, cells] of this.rows) {
-        const value = metricOf(metric, state);
-        const decimals = metric.scale === null && metric.column !== "reward" ? 0 : metric.scale === 100 ? 0 : 1;
-        say(cells[place], away ? "" : fixed(value, decimals));
-        cells[place].classList.toggle("ahead", metric.column === "reward" && !away && state.steps > 0 && state.reward === most);
-      }
+      this.data.metrics.forEach((metric, nth) => {
+        const cell = this.rows[nth].cells[place + 1];
+        const isReward = metric.column === "reward";
+        say(cell, away ? "" : fixed(metricOf(metric, state), isReward || metric.scale === 1 ? 1 : 0));
+        cell.classList.toggle("ahead", isReward && !away && state.steps > 0 && state.reward === most);
+      });
     });
   }
 
@@ -141,18 +112,20 @@ class Panel {
     showValues(values, { shares, chosen, low, high });
     values.setAttribute("aria-label", `${subject}${words}`);
     const slots = slotsOf(this.world, drone.observation);
-    const [right, forward, away] = drone.observation.subarray(3 * this.world.n_slots);
-    const way = right === undefined ? undefined : [right, forward, away * race.task.rules.scale];
+    const way = wayOf(this.world, drone.observation, race.task.rules.scale);
     const filled = slots.filter(isFilled).length;
     const sensor = this.find("sensor");
     drawSlots(sensor, { world: this.world, slots, way, mine });
+    slots.forEach((slot, place) => {
+      this.bars[place].classList.toggle("filled", isFilled(slot));
+      this.bars[place].style.setProperty("--near", 1 - slot[2]);
+    });
     const goal = way ? `; the goal at ${fixed(way[2], 0)} px` : "";
     const edge = `; the nearest edge at ${fixed(drone.clearance, 0)} px${goal}`;
     sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled${edge}`);
     say(this.find("sensor-title"), way ? "the ten slots it senses, and the way to the goal" : "the ten slots it senses");
     const said = hidden.length ? "its hidden units, the greater the brighter" : "hidden units: none";
     say(this.find("units-title"), said);
-    this.find("units").setAttribute("aria-label", said);
     drawUnits(this.find("units"), hidden);
   }
 }

@@ -1,20 +1,19 @@
 /*
- * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
+ * The page: new Playground(data) brings the race, the arena, the instruments and the controls together.
  *
  * `data` is what __init__.py writes: constants of the tasks, their layouts and settings, metrics, colours and policies.
- * In the page, an element with `data-scene` shows a part of the scene and changes it; one with `data-act` calls a method
- * of Playground, with the numbers of its `data-by`.
+ * In the page, an element with `data-scene` shows a part of the scene and changes it.
  */
 
-const MOST_AT_ONCE = 8; // steps from one picture to the next
 const ADDRESS = 200; // [ms] from a change of the scene to the address that contains it
 const WAYS_TO_END = { collision: "crashed", goal: "arrived", "time-out": "flew to the time limit" };
 const OTHER_LAYOUT = { circles: null };
 const RANDOM_LAYOUT = { layouts: RANDOM, circles: null };
 const ALSO = { k: RANDOM_LAYOUT, gap: RANDOM_LAYOUT, pace: { layouts: RANDOM }, layouts: OTHER_LAYOUT, layout: OTHER_LAYOUT };
 
-class Playground {
+class Playground extends Playing {
   constructor(data) {
+    super();
     this.data = data;
     this.find = (id) => document.getElementById(id);
     this.read = readers(data.settings, data.tasks.drone.world);
@@ -22,15 +21,22 @@ class Playground {
     this.stage = new Stage(this, this.find("stage"));
     this.panel = new Panel(data, this.find);
     this.rows = []; // of a person's finished episodes that are not kept yet
-    this.playing = false;
     this.share = 1; // of the way from the last poses to these
     this.keyboard = new Keyboard(this);
-    this.listen();
+    this.listenTo(document);
+    this.controls = [...document.querySelectorAll("[data-scene]")];
+    for (const control of this.controls) {
+      const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
+      control.addEventListener(control.type === "range" ? "input" : "change", () => this.set(control.id, text()));
+    }
+    this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
+    addEventListener("hashchange", () => this.open());
+    watchLooks(document.body, () => this.show());
     this.open();
   }
 
   get world() {
-    return this.race.world;
+    return this.race.task.world;
   }
 
   get scene() {
@@ -81,30 +87,6 @@ class Playground {
 
   tell(words) {
     say(this.find("notice"), words);
-  }
-
-  listen() {
-    for (const button of document.querySelectorAll("button[data-act]")) button.addEventListener("click", () => this.act(button));
-    this.controls = [...document.querySelectorAll("[data-scene]")];
-    for (const control of this.controls) {
-      const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
-      control.addEventListener(control.type === "range" ? "input" : "change", () => this.set(control.id, text()));
-    }
-    this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
-    addEventListener("hashchange", () => this.open());
-    watchLooks(document.body, () => this.show());
-  }
-
-  /** Do what a button or a key says. */
-  act({ dataset: { act, by = "" } }) {
-    this[act](...by.split(" ").filter(Boolean).map(Number));
-  }
-
-  /** What the pointer or the keys steer in the next step. */
-  steer() {
-    const { yours } = this.race;
-    const { target } = this.stage;
-    this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
   }
 
   /** The person steers: the first key or touch begins the race, and brings that drone into focus. */
@@ -164,7 +146,7 @@ class Playground {
   /** How many layouts there are of the kind that is shown. */
   get count() {
     const { task, layouts } = this.scene;
-    return this.data.layouts[task]?.[layouts]?.shape[0] ?? LAST_NUMBER + 1;
+    return this.data.layouts[task]?.[layouts]?.length ?? LAST_NUMBER + 1;
   }
 
   /** Another layout, so many further on, counted round and round. */
@@ -214,6 +196,7 @@ class Playground {
     }
     stage.select(stage.drawing && race.circles.length ? 0 : -1);
     document.body.classList.toggle("drawing", stage.drawing);
+    this.find("draw").setAttribute("aria-pressed", String(stage.drawing));
     this.show();
   }
 
@@ -222,7 +205,7 @@ class Playground {
     this.race.replaceCircles(circles);
     this.scene.circles = circles;
     this.stage.selected = selected;
-    this.show();
+    this.changed();
   }
 
   /** A new circle, selected; false where it cannot be. */
@@ -241,7 +224,7 @@ class Playground {
     const { circles, free } = this.race;
     const some = generate(this.world, 100, this.scene.layout + 1000 * (circles.length + 1));
     const isNew = ([x, y]) => circles.every((other) => Math.hypot(other[0] - x, other[1] - y) > 1);
-    if (this.add(some.find((circle) => isNew(circle) && allowed(this.world, circle, free)))) this.changed();
+    this.add(some.find((circle) => isNew(circle) && allowed(this.world, circle, free)));
   }
 
   select(by) {
@@ -255,9 +238,7 @@ class Playground {
   /** Move the selected circle, or change its radius, by so many px. */
   alter(dx, dy, larger) {
     const circle = this.race.circles[this.stage.selected];
-    if (!circle) return;
-    this.stage.change([circle[0] + dx, circle[1] + dy, circle[2] + larger]);
-    this.changed();
+    if (circle) this.stage.change([circle[0] + dx, circle[1] + dy, circle[2] + larger]);
   }
 
   remove() {
@@ -266,12 +247,10 @@ class Playground {
     const circles = this.race.circles.toSpliced(selected, 1);
     this.edit(circles, Math.min(selected, circles.length - 1));
     this.stage.held = null; // it has another circle now
-    this.changed();
   }
 
   clear() {
     this.edit([], -1);
-    this.changed();
   }
 
   /** Save the episodes that a person flew, with those that this browser kept before. */
@@ -291,24 +270,19 @@ class Playground {
     return this.tell("own.safetensors has these obstacles: uavnav play --layouts own.safetensors");
   }
 
-  toggle() {
-    if (this.playing) this.pause();
-    else this.start();
-  }
-
   start() {
-    this.fly();
     if (!this.race.flying().length && this.race.steps) this.again();
-    if (!this.race.flying().length) this.race.begin(); // nobody else is in the race
-    if (!this.race.flying().length) return;
+    if (!this.fly()) return;
     if (!this.race.begun) this.focusOnFlyer(this.race.flying());
-    this.playing = true;
-    everyPicture(this, (seconds) => this.frame(seconds));
+    this.play();
   }
 
-  /** Among circles that move nobody draws while time goes. */
+  /** Whether anyone flies in the next step. Among circles that move nobody draws while time goes. */
   fly() {
-    if (this.stage.drawing && this.race.task.moves) this.draw();
+    const { race, stage } = this;
+    if (stage.drawing && race.task.moves) this.draw();
+    if (!race.flying().length && !race.steps) race.begin(); // nobody else is in the race
+    return race.flying().length > 0;
   }
 
   pause() {
@@ -319,9 +293,7 @@ class Playground {
 
   oneStep() {
     this.playing = false;
-    this.fly();
-    if (!this.race.flying().length && !this.race.steps) this.race.begin(); // nobody else is in the race
-    if (this.race.flying().length) this.advance();
+    if (this.fly()) this.advance();
     this.pause();
     this.describe();
   }
@@ -329,15 +301,17 @@ class Playground {
   /** What belongs to one picture: the steps that are due in so many seconds, and drawing. */
   frame(seconds) {
     this.share += seconds * STEPS_PER_SECOND * this.scene.speed;
-    for (let steps = 0; this.share > 1 && this.playing; steps += 1) {
-      this.share = steps < MOST_AT_ONCE ? this.share - 1 : 1;
-      if (steps < MOST_AT_ONCE) this.advance();
+    while (this.share > 1 && this.playing) {
+      this.share -= 1;
+      this.advance();
     }
     this.show();
   }
 
+  /** One step, in which a person steers by the pointer or by keys. */
   advance() {
-    this.steer();
+    const { race: { yours }, stage: { target } } = this;
+    this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
     const ended = this.race.step();
     this.rows.push(...ended.map((drone) => rowOf(this.race, drone, this.data.limit)).filter(Boolean));
     if (ended.length) {
@@ -357,10 +331,8 @@ class Playground {
   show() {
     const { race, panel, pilots } = this;
     this.stage.draw(this.share, this.focus);
-    panel.showSeats(race, this.focus, pilots);
-    panel.showRace(race);
+    panel.showRace(race, this.focus, pilots);
     panel.showDrone(race, this.focus, pilots[this.focus]);
-    this.showTime();
     this.showPilot();
     this.showWorld();
     this.showBanner();
@@ -375,26 +347,16 @@ class Playground {
     }
   }
 
-  /** Whether time goes, and how to steer or to draw. */
-  showTime() {
-    const { race, stage, find } = this;
-    say(find("play"), this.playing ? "Pause" : "Play");
-    find("draw").setAttribute("aria-pressed", String(stage.drawing));
-    const steering = race.yours
-      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
-      : "To fly by hand, choose a drone and take it.";
-    const where = race.task.moves ? " They move when you play." : "";
-    const drawing = `Drag on free ground for a new circle, inside one to move it, at its edge to size it.${where}`;
-    say(find("hint"), stage.drawing ? drawing : `${steering} Space pauses.`);
-  }
-
-  /** Who flies the drone in focus, or will from the next start. */
+  /** Who flies the drone in focus, or will from the next start, and how a person steers. */
   showPilot() {
     const { race, scene, find } = this;
     const next = scene.pilots[this.focus];
     const ended = next === race.drones[this.focus].pilot ? "" : "This drone's episode has ended: the next start hands it over. ";
     say(find("take"), next === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
     say(find("focus-number"), String(scene.focus));
+    say(find("steering"), race.yours
+      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
+      : "To fly by hand, choose a drone and take it.");
     say(find("acts"), `${ended}${race.policyOf(next)?.told ?? ""}`);
     for (const option of find("pilot").options) {
       option.selected = option.value === next;
@@ -407,12 +369,11 @@ class Playground {
     const { race, scene, find } = this;
     const { settings, policies, about, layouts } = this.data;
     for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
+    find("they-move").hidden = !race.task.moves;
     find("k").value = race.circles.length;
     find("k").disabled = this.stage.drawing;
-    find("k").closest("label").hidden = scene.task === "slalom";
     say(find("k-now"), String(race.circles.length));
-    for (const [name, { tasks: where, unit }] of Object.entries(settings)) {
-      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.task);
+    for (const [name, { unit }] of Object.entries(settings)) {
       say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
     }
     const faults = Object.entries(settings).filter(([name, { tasks: where }]) => !where.length && scene[name] > 0);
@@ -450,8 +411,4 @@ class Playground {
     });
     say(this.find("status"), words.join(" "));
   }
-}
-
-function startPlayground(data) {
-  return new Playground(data);
 }

@@ -58,7 +58,7 @@ function activated(name, sums, learned) {
 
 /** Base64 of little-endian float32 as numbers. */
 function floats(text) {
-  return new Float32Array(bytesOf(text).buffer);
+  return new Float32Array(Uint8Array.fromBase64(text).buffer);
 }
 
 /** Values that LayerNorm centres and scales. */
@@ -71,12 +71,9 @@ function normalised(values) {
 /** One layer: bias [out] + inputs [in] x weight [in, out]. */
 function linear(inputs, weight, bias) {
   const sums = Float64Array.from(bias);
-  const outputs = sums.length;
-  for (let from = 0; from < inputs.length; from += 1) {
-    const input = inputs[from];
-    if (input === 0) continue;
-    for (let to = 0, at = from * outputs; to < outputs; to += 1, at += 1) sums[to] += input * weight[at];
-  }
+  inputs.forEach((input, from) => {
+    for (let to = 0; to < sums.length; to += 1) sums[to] += input * weight[from * sums.length + to];
+  });
   return Float32Array.from(sums);
 }
 
@@ -128,14 +125,15 @@ function network({ sizes, activation, layer_norm, head, weights }) {
 }
 
 function softmax(values) {
-  const largest = values.reduce((one, other) => Math.max(one, other));
+  const largest = Math.max(...values);
   const powers = Array.from(values, (value) => Math.exp(value - largest));
   const sum = powers.reduce((one, other) => one + other);
   return powers.map((power) => power / sum);
 }
 
+/** The place of the first largest value; -1 of none. */
 function best(values) {
-  return values.indexOf(values.reduce((one, other) => Math.max(one, other)));
+  return values.indexOf(Math.max(...values));
 }
 
 /** Ways to act in training: each chooses an action of the values, with uniform random numbers. */

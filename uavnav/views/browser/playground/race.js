@@ -10,7 +10,6 @@ class Race {
   /** data: the page's, with constants of each task, layouts and policies; scene: as link.js has it. */
   constructor({ tasks, layouts, policies }, scene) {
     Object.assign(this, { tasks, layouts, policies });
-    this.hand = [0, 0]; // what a person steers: a turn [degrees] and a distance [px]
     this.load(scene);
   }
 
@@ -18,19 +17,15 @@ class Race {
   load(scene) {
     const given = this.tasks[scene.task];
     const split = this.layouts[scene.task]?.[scene.layouts];
-    this.scene = split ? { ...scene, layout: scene.layout % split.shape[0] } : { ...scene, layouts: RANDOM };
+    this.scene = split ? { ...scene, layout: scene.layout % split.length } : { ...scene, layouts: RANDOM };
     if (scene.task === "moving" && split && !scene.circles) this.scene.pace = given.world.speed_max; // the split's own
     const { noise, lost, late, sticky, pace } = this.scene;
     const speeds = { speed_min: Math.min(given.world.speed_min, pace), speed_max: pace };
     const world = scene.task === "moving" ? { ...given.world, ...speeds } : given.world;
     this.task = new TASKS[scene.task]({ ...given, world }, { noise, lost, late, sticky });
-    this.layout = split ? this.task.read(rowsOf(split, this.scene.layout)) : this.task.generate(scene);
+    this.layout = split ? unpacked(split[this.scene.layout]) : this.task.generate(scene);
     if (scene.circles) this.layout = this.task.arrange(this.layout, scene.circles, scene.layout);
     this.again();
-  }
-
-  get world() {
-    return this.task.world;
   }
 
   /** Those of the layout, as they are at the start: [x, y, radius] px. */
@@ -45,13 +40,13 @@ class Race {
 
   /** Whether all circles leave free what they must, as far as a link can say. */
   circlesFit() {
-    return this.circles.every((circle) => this.free.every(([x, y, room]) => isClear([x, y, room - ROUNDED], circle)));
+    return this.circles.every((circle) => this.free.every((place) => toEdge(place, circle) >= place[2] - ROUNDED));
   }
 
   /** Every drone back at the start, on the same obstacles and with the same random numbers. */
   again() {
     this.steps = 0;
-    this.hand = [0, 0];
+    this.hand = [0, 0]; // what a person steers: a turn [degrees] and a distance [px]
     this.begun = false; // whether the person steers; before, that drone waits at the start
     this.drones = this.scene.pilots.map((pilot, place) => {
       const seed = this.scene.seed + place * 0x9e3779b1;
@@ -154,7 +149,7 @@ class Race {
       this.wake(drone);
     }
     for (const drone of flying) {
-      const action = drone.thought.action ?? encode(this.world, this.hand);
+      const action = drone.thought.action ?? encode(this.task.world, this.hand);
       drone.last = drone.state;
       drone.trail.push([drone.last.x, drone.last.y]);
       Object.assign(drone, this.task.step(drone.state, action, this.layout, this.task.draw(drone.chance)));
@@ -178,12 +173,9 @@ class Race {
   }
 }
 
-/** The rows of one layout of a split { shape: [layouts, rows, columns], numbers: base64 of float32 }. */
-function rowsOf(split, layout) {
-  const [, rows, columns] = split.shape;
-  split.read ??= floats(split.numbers); // unpacked when it is first asked
-  return Array.from({ length: rows }, (_, row) => {
-    const first = (layout * rows + row) * columns;
-    return [...split.read.subarray(first, first + columns)];
-  });
+/** A layout of the page, whose circles are rows of so many columns in base64. */
+function unpacked({ circles, columns, goal }) {
+  const numbers = floats(circles);
+  const row = (nth) => [...numbers.subarray(columns * nth, columns * (nth + 1))];
+  return { circles: Array.from({ length: numbers.length / columns }, (_, nth) => row(nth)), goal };
 }

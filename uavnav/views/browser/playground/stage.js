@@ -22,7 +22,7 @@ function allowed(world, [x, y, radius], free) {
   const size = clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max);
   const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height), size];
   const circle = inside.map((number) => f32(Math.round(10 * number) / 10));
-  return free.every((place) => isClear(place, circle)) ? circle : undefined;
+  return free.every((place) => toEdge(place, circle) >= place[2]) ? circle : undefined;
 }
 
 class Stage {
@@ -43,11 +43,9 @@ class Stage {
   }
 
   /** Where a pointer is in the world [px]. */
-  at(event) {
-    const { left, top, width, height } = this.canvas.getBoundingClientRect();
-    const { world } = this.app;
-    const x = ((event.clientX - left) / width) * world.width;
-    return [x, (1 - (event.clientY - top) / height) * world.height];
+  at({ offsetX, offsetY }) {
+    const { canvas: { clientWidth, clientHeight }, app: { world } } = this;
+    return [(offsetX / clientWidth) * world.width, (1 - offsetY / clientHeight) * world.height];
   }
 
   press(event, point) {
@@ -72,24 +70,20 @@ class Stage {
 
   release() {
     if (this.target) this.app.race.hand = [0, 0];
-    if (this.held) this.app.changed();
     this.target = this.held = null;
   }
 
   /** Take hold of a circle by its inside or its edge, or begin a new one. */
   grasp([x, y]) {
     const { circles } = this.app.race;
-    const gap = ([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius;
-    this.selected = circles.findLastIndex((circle) => gap(circle) < EDGE / 2);
-    if (this.selected < 0) {
-      if (!this.app.add([x, y, 0])) return;
-      this.held = (to) => this.sized(to);
-    } else if (gap(circles[this.selected]) > -EDGE) {
-      this.held = (to) => this.sized(to);
-    } else {
-      const [cx, cy, radius] = circles[this.selected];
-      this.held = ([toX, toY]) => this.change([cx + toX - x, cy + toY - y, radius]);
-    }
+    this.selected = circles.findLastIndex((circle) => toEdge([x, y], circle) < EDGE / 2);
+    const isSized = this.selected < 0 || toEdge([x, y], circles[this.selected]) > -EDGE;
+    if (this.selected < 0 && !this.app.add([x, y, 0])) return;
+    const [cx, cy, radius] = this.app.race.circles[this.selected];
+    this.held = ([toX, toY]) => {
+      if (isSized) this.change([cx, cy, Math.hypot(toX - cx, toY - cy)]);
+      else this.change([cx + toX - x, cy + toY - y, radius]);
+    };
   }
 
   /** Another circle or none is selected; whichever was held is so no more. */
@@ -98,20 +92,15 @@ class Stage {
     this.held = null;
   }
 
-  sized([toX, toY]) {
-    const [x, y] = this.app.race.circles[this.selected];
-    this.change([x, y, Math.hypot(toX - x, toY - y)]);
-  }
-
   change(circle) {
     const there = allowed(this.app.world, circle, this.app.race.free);
     if (there) this.app.edit(this.app.race.circles.with(this.selected, there), this.selected);
   }
 
-  erase(event, [x, y]) {
+  erase(event, point) {
     if (this.drawing || this.touched) event.preventDefault();
     if (!this.drawing || this.touched) return;
-    this.selected = this.app.race.circles.findLastIndex(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) < radius);
+    this.selected = this.app.race.circles.findLastIndex((circle) => toEdge(point, circle) < 0);
     this.app.remove();
   }
 
@@ -143,13 +132,9 @@ class Stage {
   /** While one draws: what must stay free, and the selected circle. */
   drawHelp(context, thick, colours) {
     const { race } = this.app;
-    context.lineWidth = 2 * thick;
-    context.strokeStyle = colours.muted;
     context.setLineDash([6 * thick, 6 * thick]);
-    for (const place of race.free) ring(context, ...place);
+    for (const place of race.free) ring(context, ...place, 2 * thick, colours.muted);
     context.setLineDash([]);
-    context.strokeStyle = colours.accent;
-    context.lineWidth = 4 * thick;
-    if (race.circles[this.selected]) ring(context, ...race.circles[this.selected]);
+    if (race.circles[this.selected]) ring(context, ...race.circles[this.selected], 4 * thick, colours.accent);
   }
 }

@@ -31,6 +31,11 @@ function inWords(action) {
   return `${turn}${tilt}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
 }
 
+/** Base64 as bytes. */
+function bytesOf(text) {
+  return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+}
+
 /** A text of an element, written only where it is another. */
 function say(element, text) {
   if (element.textContent !== text) element.textContent = text;

@@ -11,7 +11,7 @@ const TYPES = {
 
 /** The fields of an episode by name: each a function of the step (and the column) that gives the number. */
 async function unpack(episode, fields) {
-  const packed = new Blob([Uint8Array.fromBase64(episode.bytes)]).stream();
+  const packed = new Blob([bytesOf(episode.bytes)]).stream();
   const bytes = await new Response(packed.pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
   const read = {};
   let start = 0;

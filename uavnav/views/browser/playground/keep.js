@@ -40,7 +40,8 @@ function keepRows(columns, rows) {
 /** Save rows [x, y, radius, ...] as a layout file of safetensors; facts: of its header in Python. */
 async function saveRows(rows, facts) {
   const numbers = Float32Array.from(rows.flat());
-  const sha256 = new Uint8Array(await crypto.subtle.digest("SHA-256", numbers.buffer)).toHex();
+  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", numbers.buffer));
+  const sha256 = Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
   const about = { ...facts, generator_seed: "0", n: "1", k: String(rows.length), split: "own", sha256 };
   const shape = [1, rows.length, rows[0].length];
   const tensor = { dtype: "F32", shape, data_offsets: [0, numbers.byteLength] };

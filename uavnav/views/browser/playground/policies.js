@@ -58,7 +58,7 @@ function activated(name, sums, learned) {
 
 /** Base64 of little-endian float32 as numbers. */
 function floats(text) {
-  return new Float32Array(Uint8Array.fromBase64(text).buffer);
+  return new Float32Array(bytesOf(text).buffer);
 }
 
 /** Values that LayerNorm centres and scales. */

@@ -199,7 +199,6 @@ def test_six_steps_as_a_graph_are_those_of_a_slow_loop_also_where_there_is_no_sc
         assert torch.equal(rows, torch.stack(column, 1))
 
 
-@pytest.mark.compiled
 def test_a_scans_step_is_traced_with_what_stands_for_tensors_so_that_it_may_take_another_way(monkeypatch):
     monkeypatch.setattr(graph, "_compiled", lambda function, *how: function)
     kinds = set()
@@ -215,6 +214,7 @@ def test_a_scans_step_is_traced_with_what_stands_for_tensors_so_that_it_may_take
     assert torch.Tensor not in kinds
 
 
+@pytest.mark.compiled
 def test_a_step_that_asks_for_values_is_refused_by_a_scan_too():
     with pytest.raises(ConfigError, match="no graph can be made"):
         graph.Scan(lambda x, y: (x + float(y), x * y), 1, 1)(torch.ones(()), torch.ones(3))

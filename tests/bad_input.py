@@ -36,7 +36,7 @@ from uavnav.algorithms import ALGORITHMS, dqn, ppo
 from uavnav.evaluation import verify as verification
 from uavnav.runs import POLICY, Run
 from uavnav.runs.policies import Diverged
-from uavnav.tasks import layouts
+from uavnav.tasks import layouts, moving
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.table import make_task
@@ -653,6 +653,10 @@ CASES = [
     layouts_for("nothing", lambda f: layouts.load(None), "layouts=None", FILE),
     layouts_for("a NUL byte", lambda f: layouts.load("a\0b"), "no such layout file", FILE),
     layouts_for("a world that is none", lambda f: layouts.load("test", 3), "world=3", "give a World"),
+    layouts_for("a world without goals", lambda f: uavnav.goal.generate(1, world=uavnav.World()),
+        "is a World", "give a GoalWorld"),
+    layouts_for("a world where all stands still", lambda f: moving.generate(1, world=uavnav.World()),
+        "is a World", "give a MovingWorld"),
     layouts_for("no tensor", lambda f: layouts.validate([1]), "[1]: is no tensor of layouts",
         "give a tensor"),
     layouts_for("no tensor of goals", lambda f: uavnav.goal.validate([1]), "[1]: is no tensor of layouts",
@@ -928,6 +932,7 @@ CASES = [
     config({"world": {"width": 10**7}}, "at most 1,000,000"),
     config({"world": {"slots": []}}, "choose from"),
     misused("a world's width", lambda f: uavnav.World(width=10**400), "width=1", "at most "),
+    misused("a stack that is true", lambda f: make_task(stack=True), "stack=True", "give a whole number"),
     misused("a world's slots", lambda f: uavnav.World(slots=[]), "slots=[]", "choose from"),
     misused("a task", lambda f: uavnav.DroneEnv(task=[]), "task=[]", "choose from"),
     misused("a run of nothing", lambda f: ppo.train(None, f / "new"), "config=None", "PPOConfig()"),

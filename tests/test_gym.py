@@ -1,5 +1,6 @@
 """Gymnasium's and Stable-Baselines3's views of the world: the same episodes, info, autoreset and pictures."""
 
+import functools
 import itertools
 import math
 import warnings
@@ -73,6 +74,17 @@ def test_options_pick_layout_3_and_the_next_reset_takes_4_and_after_999_comes_0(
     assert env.reset()[1]["layout"] == 4
     assert env.reset(seed=1, options={"layout": 999})[1]["layout"] == 999
     assert env.reset()[1]["layout"] == 0
+
+
+@pytest.mark.parametrize("made", [make, functools.partial(make_vec, 2)])
+def test_a_reset_to_a_layout_that_is_not_there_leaves_the_seed_as_it_was(made):
+    env, other = made(), made()
+    for one in (env, other):
+        one.reset(seed=0)
+    with pytest.raises(ValueError, match="layout"):
+        env.reset(seed=1, options={"layout": 1_000_000})
+    assert np.array_equal(env.reset()[1]["layout"], other.reset()[1]["layout"])
+    assert np.array_equal(env.np_random.random(3), other.np_random.random(3))
 
 
 def test_for_people_each_step_is_a_picture_in_a_window_that_closes(monkeypatch):

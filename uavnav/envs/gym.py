@@ -274,6 +274,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
+        chosen = chosen_layouts(options, (self.num_envs,), len(self.task.layouts))
         if isinstance(seed, Sequence):
             if len(seed) != self.num_envs:
                 raise ValueError(
@@ -289,7 +290,6 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             super().reset(seed=seed)
             self._seed_rows([int(self.np_random.integers(2**31)) if seed is None else seed])
         following = self._first if self._state is None else (self._state.layout + 1) % len(self.task.layouts)
-        chosen = chosen_layouts(options, (self.num_envs,), len(self.task.layouts))
         if chosen is not None:
             following = torch.as_tensor(chosen, dtype=torch.int64).expand(self.num_envs).clone()
         self._state = self._start(following)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import numbers
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,6 +17,8 @@ from torch import Tensor
 from uavnav.errors import MOST_WHOLE, OneLineError, told
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World
+
+W = TypeVar("W", bound=World)
 
 
 class LayoutError(OneLineError, ValueError):
@@ -28,6 +31,13 @@ DRAWS = 1_000
 """Places that an obstacle may try; the paper's task refuses one in eleven."""
 
 
+def of_kind(kind: type[W], world: World | None) -> W:
+    """A world that is of this kind, by default with its own constants; raises a LayoutError for another."""
+    if not isinstance(world, kind | None):
+        raise LayoutError(f"world={told(world)}: is a {type(world).__name__}; give a {kind.__name__}")
+    return kind() if world is None else world
+
+
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
     """Draw n layouts of k obstacles: radius uniform in [30, 100], centre uniform in the window, drawn again
     until the edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the
@@ -38,16 +48,14 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         arguments on every machine.
 
     Raises:
-        LayoutError: n, k or seed is negative, or an obstacle finds no place.
+        LayoutError: n, k or seed is negative, `world` is none, or an obstacle finds no place.
     """
-    world = World() if world is None else world
+    world = of_kind(World, world)
     if not all(isinstance(one, numbers.Integral) and 0 <= one <= MOST_WHOLE for one in (n, k, seed)):
         given = f"n={told(n)}, k={told(k)}, seed={told(seed)}"
         raise LayoutError(f"{given}; give whole numbers of at least 0 and at most {MOST_WHOLE:,}")
     if n * max(k, 1) > MOST_OBSTACLES:
         raise LayoutError(f"n={n}, k={k}; give at most {MOST_OBSTACLES:,} obstacles or layouts in all")
-    if not isinstance(world, World):
-        raise LayoutError(f"world={told(world)}; give a World")
     rng = np.random.Generator(np.random.PCG64(seed))
     smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
     size = np.array(world.size, dtype=np.float32)
@@ -72,7 +80,7 @@ def validate(layouts: Tensor, world: World | None = None, more: int = 0) -> None
     Raises:
         LayoutError: naming the first layout that is wrong.
     """
-    world = world or World()
+    world = of_kind(World, world)
     if not isinstance(layouts, Tensor):
         raise LayoutError(f"{told(layouts)}: is no tensor of layouts; give a tensor")
     columns = len(world.size) + 1 + more

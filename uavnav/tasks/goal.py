@@ -75,7 +75,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         LayoutError: n, k or seed is negative, the goal is smaller than the grid of ways, or none can be
             reached.
     """
-    world = world if isinstance(world, GoalWorld) else GoalWorld()
+    world = circles.of_kind(GoalWorld, world)
     if world.goal_radius < GRID:
         raise LayoutError(
             f"goal_radius={world.goal_radius:g}: ways are measured from place to place; give {GRID} px"
@@ -103,7 +103,7 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
     Raises:
         LayoutError: naming the first layout that is wrong.
     """
-    world = world or GoalWorld()
+    world = circles.of_kind(GoalWorld, world)
     if not isinstance(layouts, Tensor):
         raise LayoutError(f"{told(layouts)}: is no tensor of layouts; give a tensor")
     if layouts.ndim != 3 or layouts.shape[1] == 0:

@@ -62,7 +62,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     Raises:
         LayoutError: n, k or seed is negative.
     """
-    world = world if isinstance(world, MovingWorld) else MovingWorld()
+    world = circles.of_kind(MovingWorld, world)
     standing = circles.generate(n, k, seed, world)
     rng = np.random.Generator(np.random.PCG64([seed, VELOCITIES]))
     share, turn, *height = rng.random((len(world.size), n, k))
@@ -81,7 +81,7 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
     Raises:
         LayoutError: naming the first layout that is wrong.
     """
-    world = world or MovingWorld()
+    world = circles.of_kind(MovingWorld, world)
     axes = len(world.size)
     circles.validate(layouts, world, more=axes)
     centres = layouts[..., :axes].cpu().numpy()

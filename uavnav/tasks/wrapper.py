@@ -53,7 +53,7 @@ class WrappedTask:
     trained_reach: float | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.stack, int) or not 1 <= self.stack <= MOST_REMEMBERED:
+        if type(self.stack) is not int or not 1 <= self.stack <= MOST_REMEMBERED:
             raise ConfigError(f"stack={told(self.stack)}; give a whole number from 1 to {MOST_REMEMBERED}")
 
     def __getattr__(self, name: str) -> Any:

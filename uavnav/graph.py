@@ -7,6 +7,7 @@ private parts these are.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import warnings
 from collections.abc import Callable, Sequence
@@ -79,9 +80,10 @@ class Graph:
         return _compiled(self.function, tensors, self.options)
 
 
-def _split(tensors: Tensors, first: int, second: int) -> tuple[Tensors, Tensors, Tensors]:
-    """The first tensors, so many behind them, and the rest."""
-    return tensors[:first], tensors[first : first + second], tensors[first + second :]
+def parts(tensors: Tensors, *numbers: int) -> list[Tensors]:
+    """So many tensors in turn, and the rest."""
+    ends = [0, *itertools.accumulate(numbers), None]
+    return [tensors[begin:end] for begin, end in itertools.pairwise(ends)]
 
 
 class Scan(Graph):
@@ -99,6 +101,7 @@ class Scan(Graph):
     def __init__(self, step: Function, n_state: int, n_inputs: int, time: int = 0, **options: Any) -> None:
         super().__init__(step, **options)
         self.n_state, self.n_inputs, self.time = n_state, n_inputs, time
+        self.whole = True  # no steps had to run one by one
 
     def _compile(self, tensors: Tensors) -> Function:
         try:
@@ -106,10 +109,17 @@ class Scan(Graph):
         except ConfigError as error:
             graph, why = self._one_by_one(tensors), telling_line(error.__cause__ or error)
             warnings.warn(f"steps run one by one, slower ({why})", stacklevel=2)
+            self.whole = False
             return graph
 
     def _traced(self, tensors: Tensors) -> Function:
-        state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
+        steps, frozen = self.within(tensors)
+        graph = _compiled(steps, (*tensors, *frozen), self.options)
+        return lambda *tensors: graph(*tensors, *frozen)
+
+    def within(self, tensors: Tensors) -> tuple[Function, Tensors]:
+        """All steps as a function that is part of another graph, and what it takes behind such tensors."""
+        state, inputs, constants = parts(tensors, self.n_state, self.n_inputs)
         first = *state, *(each[0] for each in inputs), *constants
 
         def apart(*tensors: Tensor) -> Tensors:  # a scan has no two names for one tensor
@@ -122,19 +132,18 @@ class Scan(Graph):
         step, frozen = _lifted(_trace(apart, first))
 
         def steps(*tensors: Tensor) -> Tensors:
-            state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
+            state, inputs, constants = parts(tensors, self.n_state, self.n_inputs)
             found = scan_op(step, [*state], [*inputs], constants)
             return *found[: self.n_state], *(each.movedim(0, self.time) for each in found[self.n_state :])
 
-        graph = _compiled(steps, (*tensors, *frozen), self.options)
-        return lambda *tensors: graph(*tensors, *frozen)
+        return steps, frozen
 
     def _one_by_one(self, tensors: Tensors) -> Function:
         """One call a step; raises a ConfigError where a step cannot be traced either."""
         step = Graph(self.function)
 
         def steps(*tensors: Tensor) -> Tensors:
-            state, inputs, constants = _split(tensors, self.n_state, self.n_inputs)
+            state, inputs, constants = parts(tensors, self.n_state, self.n_inputs)
             outputs = []
             for each in zip(*inputs, strict=True):
                 found = step(*state, *each, *constants)
@@ -166,8 +175,20 @@ class Loop(Graph):
         self.n_state, self.n_constants = n_state, n_constants
 
     def _traced(self, tensors: Tensors) -> Function:
+        updates = self.within(tensors)
+
+        def loop(*tensors: Tensor) -> tuple[Tensor]:
+            found, *after = updates(*tensors)
+            for value, new in zip(tensors[1 : 1 + self.n_state], after, strict=True):
+                value.copy_(new)
+            return (found,)
+
+        return _compiled(loop, tensors, self.options)
+
+    def within(self, tensors: Tensors) -> Function:
+        """All updates as a function that is part of another graph: -> (mean of `found`, *next state)."""
         rates, *others = tensors
-        state, constants, batches = _split(others, self.n_state, self.n_constants)
+        state, constants, batches = parts(others, self.n_state, self.n_constants)
         first = rates[0], *state, *constants, *(batch[:, 0] for batch in batches)
         update = _each_once(make_fx(self.function)(*first))
         shape = update(*first)[0].shape
@@ -183,7 +204,7 @@ class Loop(Graph):
             found, *following = update(rate, *state, *constants, *batch)
             return index + 1, total + found, *following
 
-        def loop(rates: Tensor, *tensors: Tensor) -> tuple[Tensor]:
+        def updates(rates: Tensor, *tensors: Tensor) -> Tensors:
             state, others = tensors[: self.n_state], tensors[self.n_state :]
             index = torch.zeros((), dtype=torch.int64, device=rates.device)
             total = torch.zeros(shape, device=rates.device)
@@ -191,11 +212,9 @@ class Loop(Graph):
                 _, total, *after = body(index, total, *state, rates, *others)
             else:
                 _, total, *after = while_loop_op(unfinished, body, (index, total, *state), (rates, *others))  # type: ignore[arg-type]
-            for value, new in zip(state, after, strict=True):
-                value.copy_(new)
-            return (total / len(rates),)
+            return total / len(rates), *after
 
-        return _compiled(loop, tensors, self.options)
+        return updates
 
 
 def _each_once(traced: fx.GraphModule) -> fx.GraphModule:
@@ -219,6 +238,8 @@ def _lifted(traced: fx.GraphModule) -> tuple[fx.GraphModule, Tensors]:
     calls, frozen = traced.graph, dict[str, fx.Node]()
     last = calls.find_nodes(op="placeholder")[-1]
     for node in calls.find_nodes(op="get_attr"):
+        if not isinstance(getattr(traced, node.target), Tensor):
+            continue  # the body of a loop within
         if node.target not in frozen:
             with calls.inserting_after(last):
                 last = calls.placeholder(f"frozen_{len(frozen)}")

@@ -12,6 +12,7 @@ agent.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
@@ -24,6 +25,7 @@ from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 from uavnav.acting import Actor, Values, values_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
+from uavnav.algorithms.rounds import Rounds
 from uavnav.settings import AtLeast0, Count, Share, key
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig
@@ -186,16 +188,22 @@ class DQN:
         self.transitions = make_replay(config)
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
+        renews = functools.partial(renews_target, config)
+        self.rounds = Rounds(config, self.actor, self.transitions, self.learner, renews)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
-        """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
-        config, losses = self.config, {}
-        self.transitions.extend(batch)
-        if renews_target(config, frames):
-            self.copy_to_target.step()
-        if frames > config.frames_before_learning:
-            losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
+        """Steps [A, W, T] into the buffer, then a round of updates, unless there were several rounds; now and
+        then a row, [A].
+        """
+        config, losses = self.config, self.rounds.losses
+        if not self.rounds.learned(batch):
+            self.transitions.extend(batch)
+            if renews_target(config, frames):
+                self.copy_to_target.step()
+            if frames > config.frames_before_learning:
+                drawn = self.transitions.draw(config.updates_per_step, config.batch_size)
+                losses = self.learner.learn(drawn)
         if not config.logs(frames):
             return None
         newest = batch["observation"][:, :, -1]

@@ -141,14 +141,17 @@ class Replay:
         self.storage = AgentStorage(capacity, row, device)
         self.buffer = ReplayBuffer(storage=self.storage, sampler=self.sampler, writer=self.writer)
 
-    def extend(self, batch: TensorDictBase) -> None:
-        """Write steps [A, W, T], as rows [T W, A, F] in the order of time: agents stay apart."""
+    def rows(self, batch: TensorDictBase) -> Tensor:
+        """Steps [A, W, T] as rows [T W, A, F] in the order of time."""
         following = batch["next"]
         numbers = [batch["observation"], batch["action"][..., None]]
         numbers += [following[name] for name in ("reward", "done", "terminated")]
         numbers += [following["observation"]] if self.keeps_next else []
-        rows = torch.cat(numbers, -1).permute(2, 1, 0, 3).flatten(0, 1)
-        self.sampler.extend(self.writer.extend(rows))
+        return torch.cat(numbers, -1).permute(2, 1, 0, 3).flatten(0, 1)
+
+    def extend(self, batch: TensorDictBase) -> None:
+        """Write steps [A, W, T]: agents stay apart."""
+        self.sampler.extend(self.writer.extend(self.rows(batch)))
 
     def draw(self, n_batches: int, batch_size: int) -> TensorDictBase:
         """Uniformly drawn places in the ring, each with those of its S successors: `places` [A, M, N, 1 + S]
@@ -159,10 +162,45 @@ class Replay:
         places = places.reshape(len(agents), n_batches, batch_size, -1)
         return TensorDict._new_unsafe({"places": places}, places.shape[:2])
 
-    def read(self, batch: TensorDictBase, ring: Tensor) -> TensorDict:
-        """The transitions [..., N] at places that were drawn, for a loss; compiled with it."""
+    def draw_ahead(
+        self, n_rounds: int, n_rows: int, n_batches: int, batch_size: int
+    ) -> tuple[Tensor, Tensor]:
+        """What K rounds draw that each begin with writing so many rows, before these are there: `places` as
+        of `draw`, [K, A, M, N, 1 + S]; and where each is among the rows of these rounds, or -1.
+
+        `write` them afterwards.
+        """
+        first, drawn = self.writer.cursor, []
+        for _ in range(n_rounds):
+            self.sampler.extend(self.writer.advance(n_rows))
+            (rows, agents), _ = self.sampler.sample(self.storage, n_batches * batch_size)
+            drawn.append(rows)
+        rows = torch.stack(drawn)
+        age = (rows - first) % self.storage.max_size
+        written = n_rows * torch.arange(1, n_rounds + 1)[:, None, None, None]
+        newest = torch.where(age < written, age * len(agents) + agents, -1)
+        both = (rows * len(agents) + agents).movedim(1, 3), newest.movedim(1, 3)
+        shape = n_rounds, len(agents), n_batches, batch_size, -1
+        places, newest = (one.reshape(shape) for one in both)
+        return places, newest
+
+    def write(self, rows: Tensor) -> None:
+        """Fill the newest places with rows [n, A, F] that came after `draw_ahead`."""
+        first = self.writer.cursor - len(rows)
+        self.storage.put(torch.arange(first, first + len(rows)) % self.storage.max_size, rows)
+
+    def read(self, batch: TensorDictBase, ring: Tensor, fresh: Tensor | None = None) -> TensorDict:
+        """The transitions [..., N] at places that were drawn, for a loss; compiled with it.
+
+        fresh: rows of the rounds of `draw_ahead` [n, A, F], which the ring lacks.
+        """
         places = batch["places"]
-        rows = ring.flatten(0, 1).index_select(0, places.flatten()).reshape(*places.shape, -1)
+        rows = ring.flatten(0, 1).index_select(0, places.flatten())
+        if fresh is not None:
+            newest = batch["newest"].flatten()
+            new = fresh.flatten(0, 1).index_select(0, newest.clamp(min=0))
+            rows = torch.where((newest >= 0)[:, None], new, rows)
+        rows = rows.reshape(*places.shape, -1)
         sizes = [self.size, 1, 1, 1, 1, self.size * self.keeps_next]
         observation, action, *flags, after = torch.split(rows, sizes, -1)
         reward, done, terminated = flags[0], flags[1] > 0, flags[2] > 0
@@ -215,9 +253,12 @@ class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
         return ring
 
     def put(self, index: Tensor, rows: Tensor) -> None:
-        """As `set`, without what it does for other kinds of data."""
+        """As `set`, without what it does for other kinds of data; `grow` counts them."""
         self._storage[index] = rows
-        self._len: int = min(len(self) + len(rows), self.max_size)
+
+    def grow(self, n: int) -> None:
+        """There are so many rows more."""
+        self._len: int = min(len(self) + n, self.max_size)
 
 
 class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
@@ -226,14 +267,24 @@ class AgentWriter(RoundRobinWriter):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__(compilable=True)
 
-    def extend(self, data: Tensor) -> Tensor:
-        """Write rows behind the newest ones, of more than there is room for the last; where they are now."""
-        capacity, n = self._storage.max_size, len(data)
-        index: Tensor = torch.arange(self._cursor, self._cursor + n, device=data.device) % capacity
-        index = index[-capacity:]  # no place twice: several threads write
-        self._storage.put(index, data[-capacity:])
+    @property
+    def cursor(self) -> int:
+        """Where the next row is written."""
+        return self._cursor
+
+    def advance(self, n: int) -> Tensor:
+        """Count so many rows as written; where they are, of more than there is room for the last."""
+        capacity = self._storage.max_size
+        index: Tensor = torch.arange(self._cursor, self._cursor + n, device=self._storage.device) % capacity
+        self._storage.grow(n)
         self._cursor: int = (self._cursor + n) % capacity
         self._write_count: int = self._write_count + n
+        return index[-capacity:]  # no place twice: several threads write
+
+    def extend(self, data: Tensor) -> Tensor:
+        """Write rows behind the newest ones; where they are now."""
+        index = self.advance(len(data))
+        self._storage.put(index, data[-len(index) :])
         return index
 
 

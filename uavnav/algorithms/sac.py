@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig, make_replay
+from uavnav.algorithms.rounds import Rounds
 from uavnav.settings import AtLeast0, Count, Share, Whole, key
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.loop import Row, train
@@ -154,14 +155,19 @@ class SAC:
         self.transitions = make_replay(config)
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
+        self.rounds = Rounds(config, self.actor, self.transitions, self.learner)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
-        """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
-        config, losses = self.config, {}
-        self.transitions.extend(batch)
-        if frames > config.frames_before_learning:
-            losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
+        """Steps [A, W, T] into the buffer, then a round of updates, unless there were several rounds; now and
+        then a row, [A].
+        """
+        config, losses = self.config, self.rounds.losses
+        if not self.rounds.learned(batch):
+            self.transitions.extend(batch)
+            if frames > config.frames_before_learning:
+                drawn = self.transitions.draw(config.updates_per_step, config.batch_size)
+                losses = self.learner.learn(drawn)
         if not config.logs(frames):
             return None
         return {**losses, **self.diagnostics(batch["observation"][:, :, -1])}

@@ -287,15 +287,43 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
         actor: of this environment's agents, whose batch is [agents, environments].
         """
-        agents, environments = self.batch_size
-        inputs = [*actor.draw(n, environments), *self._chance.steps(n)]
-        now, kind, constants = self._now, self.task.state_class, [self.layouts, *self._first, *actor.weights]
-        scan = self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, len(inputs)))
-        found = scan(*now.state, now.observation, *inputs, *constants)
-        now.state, now.observation = kind(*found[: len(kind._fields)]), found[len(kind._fields)]
-        now.begins_here = False
-        action, observation, *rows = found[len(kind._fields) + 1 :]
-        never = self._never[..., None, :].expand(agents, environments, n, 1)
+        inputs = self.drawn(actor, n)
+        found = self.scan(actor, len(inputs))(*self.tensors, *inputs, *self.constants, *actor.weights)
+        n_state = len(self.tensors)
+        self.go_on(found[:n_state])
+        return self.batch(found[n_state:])
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """Where the environment is: the fields of its state, and the observation."""
+        return [*self._now.state, self._now.observation]
+
+    @property
+    def constants(self) -> list[Tensor]:
+        """What each step is given: layouts, and where it is known, what is sensed first on each."""
+        return [self.layouts, *self._first]
+
+    def drawn(self, actor: Actor, n: int) -> list[Tensor]:
+        """All random numbers of an actor's next n steps and their episodes, [n, ...] each."""
+        return [*actor.draw(n, self.batch_size[1]), *self._chance.steps(n)]
+
+    def scan(self, actor: Actor, n_inputs: int) -> Scan:
+        """Steps of an actor: `tensors`, what was `drawn`, `constants` and weights -> `tensors`, `batch`'s."""
+        return self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, n_inputs))
+
+    def whole(self, actor: Actor) -> bool:
+        """Whether the actor's steps were found to run as one graph."""
+        return actor in self._scans and self._scans[actor].whole
+
+    def go_on(self, tensors: Sequence[Tensor]) -> None:
+        """Go on from other `tensors`."""
+        *state, self._now.observation = tensors
+        self._now.state, self._now.begins_here = self.task.state_class(*state), False
+
+    def batch(self, outputs: Sequence[Tensor]) -> TensorDict:
+        """What `scan` gives of n steps, as a collector does: [*B, n]."""
+        action, observation, *rows = outputs
+        never = self._never[..., None, :].expand(*action.shape, 1)
         flags = dict.fromkeys(("done", "terminated", "truncated"), never)
         following = dict(zip(LEAVES, rows[N_COUNTS:-N_COUNTS], strict=True))
         root = {"observation": observation, "action": action, **flags}

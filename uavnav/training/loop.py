@@ -36,6 +36,16 @@ Fit = Callable[[Recorder, bool, Tell | None], Run]
 """Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling."""
 
 
+class Several(Protocol):
+    """Iterations of a run that are one call, of an algorithm whose `Trainee` has them as `rounds`."""
+
+    def fit(self, env: DroneEnv, frames: int) -> bool:
+        """Whether the next ones after so many frames are."""
+
+    def __call__(self, env: DroneEnv) -> TensorDictBase:
+        """Their steps [A, W, T], learned from already."""
+
+
 class Trainee(Protocol):
     """What the loop needs of an algorithm: all seeds' agents, A of them, in W environments each."""
 
@@ -56,7 +66,7 @@ def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> 
     env = make_env(session.config, session.compile)
     trainee: Trainee = session.config.make(session.compile)
     with session.open(env, trainee.actor, trainee.networks(), trainee.parts, trainee.replay):
-        for frames, batch in session.batches():
+        for frames, batch in session.batches(getattr(trainee, "rounds", None)):
             row = trainee.learn(batch, frames)
             if row is not None:
                 session.log(row)
@@ -92,17 +102,19 @@ class Session:
             self.display.begin(self.recorder, self.frames)
             yield
 
-    def batches(self) -> Iterator[tuple[int, TensorDictBase]]:
+    def batches(self, rounds: Several | None = None) -> Iterator[tuple[int, TensorDictBase]]:
         """The run's steps [A, W, T], one batch after the other, each with the frames per seed at its end.
 
-        Between two batches, what was learned is saved where a snapshot is due.
+        Between two batches, what was learned is saved where a snapshot is due. rounds: gives batches of
+        several iterations, learned from already, where it can.
         """
         collected = iter(make_collector(self.env, self.actor, self.config))
         self._began = time.perf_counter()
         while self.frames < self.config.frames:
-            batch = next(collected)
+            several = rounds is not None and rounds.fit(self.env, self.frames)
+            batch = rounds(self.env) if rounds is not None and several else next(collected)
             self.recorder.add_episodes(batch["next"], self.frames)
-            self.frames += self.config.frames_per_iteration
+            self.frames += batch.shape[1:].numel()
             yield self.frames, batch
             self.recorder.tell(self.frames)
             self.recorder.checkpoint(self.frames, self.parts, self.replay)

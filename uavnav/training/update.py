@@ -152,7 +152,7 @@ class Learner:
     def step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """One update of every agent from a minibatch [A, N]; each agent's losses and gradient norm, [A]."""
         with torch.no_grad():
-            found, following = self._update(self._rates(1)[0], self.state, self.memory, batch)
+            found, following = self._update(self.rates(1)[0], self.state, self.memory, batch)
             self.state.update_(following)
             self.steps += 1
         return dict(zip(self.names, found, strict=True))
@@ -180,7 +180,7 @@ class Learner:
             following["targets"] = {name: target.lerp(value, self.tau) for name, target, value in pairs}
         return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
 
-    def _rates(self, n: int) -> Tensor:
+    def rates(self, n: int) -> Tensor:
         """What the optimiser needs of the next n steps [n, rates], worked out for many steps at once."""
         first, rates = self._ahead
         if not first <= self.steps <= first + len(rates) - n:
@@ -190,17 +190,30 @@ class Learner:
             self._ahead = first, rates
         return rates[self.steps - first :][:n]
 
-    def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
-        """All updates of a call as one graph, however many, of all agents at once or of each in turn."""
-        held = TensorDict({**self.state, "constants": self.constants})
-        names = list(held.keys(True, True))
-        keys = list(batches.keys(True, True, sort=True))  # also those of a refilled buffer: one graph
-        n_memory = len(self.memory)
-        n_constants = (
-            n_memory
-            + len(self.constants.keys())
-            + (0 if self.tau else len(self.state.get("targets", {}).keys()))
-        )
+    @property
+    def tensors(self) -> list[Tensor]:
+        """What an update is given besides its rate, memory and minibatch; first what it changes."""
+        return [*self.state.values(True, True), *self.constants.values()]
+
+    @property
+    def n_changed(self) -> int:
+        """How many of `tensors` an update changes: weights and moments, and targets that follow softly."""
+        kept = len(self.constants.keys()) + (0 if self.tau else len(self.state.get("targets", {}).keys()))
+        return len(self.tensors) - kept
+
+    @property
+    def on_cpu(self) -> bool:
+        return bool(next(iter(self.params.values())).device.type == "cpu")
+
+    @property
+    def in_turn(self) -> bool:
+        """Whether agents are so large that they are updated one after the other."""
+        n_agents, size = len(self.params), sum(value.nbytes for value in self.tensors)
+        return self.on_cpu and n_agents > 1 and size >= LARGE * n_agents
+
+    def loop(self, keys: Sequence[str], n_memory: int) -> Loop:
+        """Updates from minibatches with these keys, as one graph however many they are."""
+        names = list(TensorDict({**self.state, "constants": self.constants}).keys(True, True))
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
             given = TensorDict(dict(zip(names, tensors[: len(names)], strict=True)))
@@ -212,18 +225,20 @@ class Learner:
                 found, following = self._update(rate, given, memory, batch)
             return found, *following.values(True, True)
 
-        on_cpu = (
-            next(iter(self.params.values())).device.type == "cpu"
-        )  # elsewhere the wrapper needs that device's own headers
-        loop = Loop(update, len(names) + n_memory - n_constants, n_constants, cpp_wrapper=on_cpu)
-        n_agents = len(self.params)
-        in_turn = on_cpu and sum(value.nbytes for value in held.values(True, True)) >= LARGE * n_agents
-        turns = [slice(agent, agent + 1) for agent in range(n_agents)] if in_turn else [slice(None)]
+        # elsewhere the wrapper needs that device's own headers
+        n_constants = len(names) - self.n_changed + n_memory
+        return Loop(update, self.n_changed, n_constants, cpp_wrapper=self.on_cpu)
+
+    def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
+        """All updates of a call as one graph, however many, of all agents at once or of each in turn."""
+        keys = list(batches.keys(True, True, sort=True))  # also those of a refilled buffer: one graph
+        loop, n_agents = self.loop(keys, len(self.memory)), len(self.params)
+        turns = [slice(agent, agent + 1) for agent in range(n_agents)] if self.in_turn else [slice(None)]
         constants = [*self.constants.values(), *self.memory]
         states = [[*self.state[agents].values(True, True), *constants] for agents in turns]
 
         def run(batches: TensorDictBase) -> Tensor:
-            rates, leaves = self._rates(batches.shape[1]), [batches[key] for key in keys]
+            rates, leaves = self.rates(batches.shape[1]), [batches[key] for key in keys]
             found = [
                 loop(rates, *state, *(leaf[agents] for leaf in leaves))[0]
                 for agents, state in zip(turns, states, strict=True)

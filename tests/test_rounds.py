@@ -1,0 +1,114 @@
+"""Rounds of learning from replay as one graph: the same bits as one by one, and which of them are one."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from runs_by_hand import same
+from tensordict import TensorDict
+
+from uavnav.algorithms import ALGORITHMS, replay, rounds
+from uavnav.algorithms.dqn import DQNConfig
+from uavnav.algorithms.replay import Replay
+from uavnav.algorithms.rounds import Rounds
+from uavnav.training.loop import train
+from uavnav.training.recorder import Interrupted
+
+SMALL = {"n_seeds": 2, "compile": "on", "learning_starts": 64, "buffer_size": 300, "lr": 1e-2}
+CASES = {
+    # 4 steps and an update a round; the target is renewed in rounds 200, 400 and 600
+    "dqn": {"n_envs": 1, "total_frames": 2_500, "target_update_frames": 800, "hidden": (4,)},
+    # a step and 2 updates a round; as in test_algorithms
+    "sac": {
+        "n_envs": 8,
+        "total_frames": 640,
+        "target_entropy": 0.3,
+        "frames_per_update": 4,
+        "activation": "crelu",
+        "hidden": (16,),
+    },
+}
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("algorithm", CASES)
+def test_25_rounds_as_one_graph_are_25_rounds_bit_for_bit_also_after_a_stop(algorithm, tmp_path, monkeypatch):
+    monkeypatch.setattr(replay, "LOG_FRAMES", 400)
+    config = ALGORITHMS[algorithm].config(**SMALL | CASES[algorithm])
+    called, call = [], Rounds.__call__
+    monkeypatch.setattr(Rounds, "__call__", lambda self, env: called.append(1) or call(self, env))
+    one_by_one = train(config, tmp_path / "one", quiet=True, processes=1)
+    assert not called  # a short run
+    monkeypatch.setattr(rounds, "WORTH", 0)
+    together = train(config, tmp_path / "together", quiet=True, processes=1)
+    assert len(called) * rounds.ROUNDS > 0.6 * config.updates / config.updates_per_step
+    with pytest.raises(Interrupted):
+        train(config, tmp_path / "stopped", quiet=True, processes=1, until=config.frames // 2)
+    stopped = train(config, tmp_path / "stopped", quiet=True, processes=1)
+    same(one_by_one.path, together.path)
+    same(one_by_one.path, stopped.path)
+
+
+def test_between_the_rounds_of_a_graph_is_no_row_no_renewed_target_and_no_end():
+    """With SB3's defaults a round is 4 frames, a row comes every 5,000 and a target every 10,000."""
+    rounds_of = DQNConfig().make(compile=True).rounds
+    env = SimpleNamespace(whole=lambda actor: True)
+    found = {frames for frames in range(49_800, 70_000, 4) if rounds_of.fit(env, frames)}
+    first, rows, renewals = range(49_800, 50_000, 4), (54_904, 64_904), (59_900, 69_900)
+    apart = {*first, *(frames + n for frames in rows for n in range(0, 96, 4))}
+    apart |= {frames + n for frames in renewals for n in range(0, 100, 4)}
+    assert found == {*range(49_800, 70_000, 4)} - apart
+    assert [rounds_of.fit(env, frames) for frames in (999_800, 999_900, 999_904)] == [True, False, False]
+    assert not rounds_of.fit(SimpleNamespace(whole=lambda actor: False), 50_000)
+
+
+def test_a_short_run_an_eager_one_and_one_with_little_room_have_no_such_graph():
+    env = SimpleNamespace(whole=lambda actor: True)
+    for compile, how in (
+        (True, {"total_frames": 100_000}),
+        (True, {"buffer_size": 99}),
+        (False, {}),
+    ):
+        assert not DQNConfig(**how).make(compile).rounds.fit(env, 50_000)
+
+
+@pytest.mark.parametrize("capacity", [40, 64, 1_000])
+@pytest.mark.parametrize(("keeps_next", "n_steps"), [(False, 1), (False, 3), (True, 1), (True, 2)])
+def test_what_rounds_draw_before_their_rows_are_there_is_what_each_reads_of_the_ring(
+    capacity, keeps_next, n_steps
+):
+    """Six rounds of 6 rows of 2 agents, in a ring that is full, gets full, or does not."""
+    generator = torch.Generator().manual_seed(0)
+    made = [Replay([3, 4], capacity, 2, 5, keeps_next, n_steps, 0.9) for _ in range(2)]
+
+    def steps():
+        """[A, W, T] of 2 agents in 2 environments."""
+        numbers = {name: torch.rand(2, 2, 3, n, generator=generator) for name, n in (("s", 5), ("s'", 5))}
+        flags = {name: torch.rand(2, 2, 3, 1, generator=generator) < 0.3 for name in ("done", "terminated")}
+        following = {"observation": numbers["s'"], "reward": torch.rand(2, 2, 3, 1, generator=generator)}
+        action = torch.randint(100, (2, 2, 3), generator=generator)
+        return TensorDict(
+            {"observation": numbers["s"], "action": action, "next": following | flags}, [2, 2, 3]
+        )
+
+    for _ in range(5):
+        for one, batch in zip(made, [steps()] * 2, strict=True):
+            one.extend(batch)
+    slow, fast = made
+    batches = [steps() for _ in range(6)]
+    places, newest = fast.draw_ahead(6, 6, n_batches=2, batch_size=7)
+    before, rows = fast.storage.ring.clone(), torch.cat([fast.rows(batch) for batch in batches])
+    assert (newest >= 0).any()
+    for number, batch in enumerate(batches):
+        slow.extend(batch)
+        expected = slow.read(slow.draw(2, 7), slow.storage.ring)
+        known = torch.where(torch.arange(36)[:, None, None] < 6 * (number + 1), rows, torch.nan)
+        drawn = TensorDict({"places": places[number], "newest": newest[number]}, [2, 2])
+        found = fast.read(drawn, before, known)
+        assert (found == expected).all()
+    fast.write(rows)
+    there = slice(len(slow.storage))
+    assert torch.equal(fast.storage.ring[there], slow.storage.ring[there])
+    assert fast.writer.state_dict() == slow.writer.state_dict()
+    assert (slow.draw(1, 9) == fast.draw(1, 9)).all()

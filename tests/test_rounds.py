@@ -14,10 +14,16 @@ from uavnav.algorithms.rounds import Rounds
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted
 
-SMALL = {"n_seeds": 2, "compile": "on", "learning_starts": 64, "buffer_size": 300, "lr": 1e-2}
+SMALL = {"n_seeds": 2, "compile": "on", "learning_starts": 64, "lr": 1e-2}
 CASES = {
-    # 4 steps and an update a round; the target is renewed in rounds 200, 400 and 600
-    "dqn": {"n_envs": 1, "total_frames": 2_500, "target_update_frames": 800, "hidden": (4,)},
+    # 4 steps and an update a round; the target is renewed in rounds 200, 400 and 600; the ring has 300 rows
+    "dqn": {
+        "n_envs": 1,
+        "total_frames": 2_500,
+        "target_update_frames": 800,
+        "buffer_size": 300,
+        "hidden": (4,),
+    },
     # a step and 2 updates a round; as in test_algorithms
     "sac": {
         "n_envs": 8,

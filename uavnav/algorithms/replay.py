@@ -170,14 +170,14 @@ class Replay:
 
         `write` them afterwards.
         """
-        first, drawn = self.writer.cursor, []
-        for _ in range(n_rounds):
-            self.sampler.extend(self.writer.advance(n_rows))
-            (rows, agents), _ = self.sampler.sample(self.storage, n_batches * batch_size)
-            drawn.append(rows)
-        rows = torch.stack(drawn)
-        age = (rows - first) % self.storage.max_size
-        written = n_rows * torch.arange(1, n_rounds + 1)[:, None, None, None]
+        storage, sampler, n = self.storage, self.sampler, n_batches * batch_size
+        first, written = self.writer.cursor, n_rows * torch.arange(1, n_rounds + 1)  # before a round draws
+        sizes = (len(storage) + written).clamp(max=storage.max_size)
+        drawn = torch.stack([sampler.draw(size, n) for size in sizes.tolist()])[:, None]
+        newest, size, written = (one[:, None, None, None] for one in (first + written - 1, sizes, written))
+        rows, agents = sampler.rows(drawn, newest, size), sampler.agents
+        sampler.extend(self.writer.advance(n_rounds * n_rows))
+        age = (rows - first) % storage.max_size
         newest = torch.where(age < written, age * len(agents) + agents, -1)
         both = (rows * len(agents) + agents).movedim(1, 3), newest.movedim(1, 3)
         shape = n_rounds, len(agents), n_batches, batch_size, -1
@@ -301,17 +301,21 @@ class AgentSampler(RandomSampler):  # type: ignore[misc]
         self.streams = Streams(seeds, "replay")
         self.successors = successors
         self._later = torch.tensor([0, *successors])[:, None, None]
-        self._agents = torch.arange(len(seeds))[:, None]
+        self.agents = torch.arange(len(seeds))[:, None]
         self._newest = -1
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
-        size = len(storage)
+        rows = self.rows(self.draw(len(storage), batch_size), self._newest, len(storage))
+        return (rows.to(storage.device), self.agents.to(storage.device)), {}
+
+    def draw(self, size: int, n: int) -> Tensor:
+        """Each agent's next n draws of a storage with so many rows [A, N], counted from the oldest one."""
         there = size - max(self.successors, default=0)
-        rows = self.streams.draw(torch.randint, there, (batch_size,), device="cpu")
-        if self.successors:
-            rows = rows + self._newest + 1  # counted from the oldest
-        rows = (rows + self._later) % size
-        return (rows.to(storage.device), self._agents.to(storage.device)), {}
+        return self.streams.draw(torch.randint, there, (n,), device="cpu")
+
+    def rows(self, drawn: Tensor, newest: Tensor | int, size: Tensor | int) -> Tensor:
+        """Where these rows [..., A, N] and their successors are, [..., 1 + S, A, N]."""
+        return ((drawn + newest + 1 if self.successors else drawn) + self._later) % size
 
     def extend(self, index: Tensor) -> None:
         """Rows were written there, in the order of time."""

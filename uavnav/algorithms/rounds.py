@@ -54,13 +54,14 @@ class Rounds:
 
     def fit(self, env: DroneEnv, frames: int) -> bool:
         """Whether the next rounds are one graph: all learn, and between two of them there is no row of
-        progress and no target to renew.
+        progress, no policy to keep and no target to renew.
         """
-        if not (self._pay and frames >= self.config.frames_before_learning and env.whole(self.actor)):
+        config = self.config
+        if not (self._pay and frames >= config.frames_before_learning and env.whole(self.actor)):
             return False
-        ends = [frames + n * self._n_rows for n in range(1, ROUNDS + 1)]
-        apart = any(map(self.config.logs, ends[:-1])) or any(map(self._renews, ends))
-        return ends[-1] <= self.config.frames and not apart
+        *ends, last = (frames + n * self._n_rows for n in range(1, ROUNDS + 1))
+        between = any(config.logs(end) or config.shares_reached(end) for end in ends)
+        return last <= config.frames and not between and not any(map(self._renews, [*ends, last]))
 
     def learned(self, batch: TensorDictBase) -> bool:
         """Whether a batch is of several rounds, which have learned from it."""
@@ -69,13 +70,9 @@ class Rounds:
     @torch.no_grad()
     def __call__(self, env: DroneEnv) -> TensorDict:
         """The next rounds: their steps [A, W, T], learned from already."""
-        config, replay, learner, n_updates = (
-            self.config,
-            self.replay,
-            self.learner,
-            self.config.updates_per_step,
-        )
-        n_rows, ring, n = ROUNDS * self._n_rows, self.replay.storage.ring, self.learner.n_changed
+        config, replay, learner = self.config, self.replay, self.learner
+        n_rows, n_updates = ROUNDS * self._n_rows, config.updates_per_step
+        ring, n = replay.storage.ring, learner.n_changed
         drawn = env.drawn(self.actor, n_rows // config.n_envs)
         places, newest = replay.draw_ahead(ROUNDS, self._n_rows, n_updates, config.batch_size)
         rates, where = learner.rates(ROUNDS * n_updates), torch.arange(n_rows)
@@ -100,12 +97,7 @@ class Rounds:
         self, env: DroneEnv, state: Sequence[Tensor], inputs: Sequence[Tensor], constants: Sequence[Tensor]
     ) -> tuple[graph.Scan, Sequence[Tensor]]:
         """The graph, and what its steps close over."""
-        n_now, n_learned, n_drawn, n_known = (
-            len(env.tensors),
-            len(state) - len(env.tensors) - 1,
-            len(inputs) - 4,
-            len(env.constants),
-        )
+        n_now, n_drawn, n_known = len(env.tensors), len(inputs) - 4, len(env.constants)
         weights = [_place(weight, state) for weight in self.actor.weights]
         *drawn, _, rates, places, newest = (one[0] for one in inputs)
         ring, *kept = constants[n_known:]
@@ -113,7 +105,7 @@ class Rounds:
         steps, more = env.scan(self.actor, n_drawn).within(acting)
         learning = [rates, *state[n_now:-1], *kept, ring, state[-1], places, newest]
         updates = self.learner.loop(["places", "newest"], 2).within(learning)
-        numbers = n_now, n_learned, 1, n_drawn, 4, n_known, 1, len(kept)
+        numbers = n_now, self.learner.n_changed, 1, n_drawn, 4, n_known, 1, len(kept)
 
         def one_round(*tensors: Tensor) -> Sequence[Tensor]:
             now, learned, (rows,), drawn, others, known, (ring,), kept, more = graph.parts(tensors, *numbers)

@@ -264,6 +264,10 @@ class TrainConfig(Settings):
         """Whole ones, as SB3 runs them."""
         return -(-self.total_frames // self.frames_per_iteration)
 
+    def shares_reached(self, frames: int) -> list[float]:
+        """Those of `keep_at` that the iteration which ends after so many frames per seed reaches."""
+        return [at for at in self.keep_at if 0 <= frames - at * self.frames < self.frames_per_iteration]
+
     @property
     def frames(self) -> int:
         """Frames that are really run, per seed."""

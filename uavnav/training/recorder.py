@@ -412,10 +412,9 @@ class Recorder:
 
     def _keep_policies(self, frames: int, parts: Mapping[str, Any]) -> None:
         """Keep the policies at the end of the iteration in which a share of training is reached."""
-        for at in self.config.keep_at:
-            if 0 <= frames - at * self.config.frames < self.config.frames_per_iteration:
-                actor = parts["actions"]
-                write(self.path / kept(at), weights.serialize({"policy": actor.network}, self.config, actor))
+        for at in self.config.shares_reached(frames):
+            actor = parts["actions"]
+            write(self.path / kept(at), weights.serialize({"policy": actor.network}, self.config, actor))
 
     def interrupted(self, frames: int, wanted: bool) -> Interrupted:
         """What to raise when the run was saved after so many frames per seed; wanted: by `until`."""

@@ -8,7 +8,7 @@ from runs_by_hand import same
 from tensordict import TensorDict
 
 from uavnav.algorithms import ALGORITHMS, replay, rounds
-from uavnav.algorithms.dqn import DQNConfig
+from uavnav.algorithms.dqn import DQN, DQNConfig
 from uavnav.algorithms.replay import Replay
 from uavnav.algorithms.rounds import Rounds
 from uavnav.training.loop import train
@@ -42,11 +42,11 @@ CASES = {
 def test_25_rounds_as_one_graph_are_25_rounds_bit_for_bit_also_after_a_stop(algorithm, tmp_path, monkeypatch):
     monkeypatch.setattr(replay, "LOG_FRAMES", 400)
     config = ALGORITHMS[algorithm].config(**SMALL | CASES[algorithm])
-    called, call = [], Rounds.__call__
-    monkeypatch.setattr(Rounds, "__call__", lambda self, env: called.append(1) or call(self, env))
+    called, run = [], Rounds.run
+    monkeypatch.setattr(Rounds, "run", lambda self, env: called.append(1) or run(self, env))
     one_by_one = train(config, tmp_path / "one", quiet=True, processes=1)
     assert not called  # a short run
-    monkeypatch.setattr(rounds, "WORTH", 0)
+    monkeypatch.setattr(rounds, "LEAST_ROUNDS", 0)
     together = train(config, tmp_path / "together", quiet=True, processes=1)
     assert len(called) * rounds.ROUNDS > 0.6 * config.updates / config.updates_per_step
     with pytest.raises(Interrupted):
@@ -59,34 +59,44 @@ def test_25_rounds_as_one_graph_are_25_rounds_bit_for_bit_also_after_a_stop(algo
         same(one_by_one.path, other.path)
 
 
-def test_between_the_rounds_of_a_graph_is_no_row_no_renewed_target_and_no_end():
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_where_no_such_graph_can_be_made_a_line_says_why_and_the_run_has_the_same_bits(tmp_path, monkeypatch):
+    config = ALGORITHMS["sac"].config(**SMALL | CASES["sac"])
+    one_by_one = train(config, tmp_path / "one", quiet=True, processes=1)
+    monkeypatch.setattr(rounds, "LEAST_ROUNDS", 0)
+    monkeypatch.setattr(Rounds, "_made", lambda self, *tensors: {}["a loop in a loop"])
+    with pytest.warns(UserWarning, match="rounds run one by one, slower .*a loop in a loop"):
+        same(one_by_one.path, train(config, tmp_path / "other", quiet=True, processes=1).path)
+
+
+def test_an_algorithm_that_learns_otherwise_has_no_rounds_of_what_it_inherits_from():
+    class Other(DQN):
+        def learn(self, batch, frames):
+            return None
+
+    assert Other(DQNConfig(total_frames=1_000), compile=True).rounds is None
+
+
+def test_no_round_of_a_graph_ends_with_a_row_a_renewed_target_or_a_policy_to_keep(monkeypatch):
     """With SB3's defaults a round is 4 frames, a row comes every 5,000 and a target every 10,000."""
+    monkeypatch.setattr(Rounds, "_compile", lambda self, env: True)
     rounds_of = DQNConfig().make(compile=True).rounds
     env = SimpleNamespace(whole=lambda actor: True)
-    found = {frames for frames in range(49_800, 70_000, 4) if rounds_of.fit(env, frames)}
-    first, rows, renewals = range(49_800, 50_000, 4), (54_904, 64_904), (59_900, 69_900)
-    apart = {*first, *(frames + n for frames in rows for n in range(0, 96, 4))}
-    apart |= {frames + n for frames in renewals for n in range(0, 100, 4)}
+    found = {frames for frames in range(49_800, 70_000, 4) if rounds_of.ready(env, frames)}
+    before = {end - n for end in (55_000, 60_000, 65_000, 70_000) for n in range(4, 104, 4)}
+    apart = {*range(49_800, 50_000, 4)} | before
     assert found == {*range(49_800, 70_000, 4)} - apart
     kept = DQNConfig(keep_at=(0.0631,)).make(compile=True).rounds
-    assert [kept.fit(env, frames) for frames in (63_000, 63_004, 63_096, 63_100)] == [
-        True,
-        False,
-        False,
-        True,
-    ]
-    assert [rounds_of.fit(env, frames) for frames in (999_800, 999_900, 999_904)] == [True, False, False]
-    assert not rounds_of.fit(SimpleNamespace(whole=lambda actor: False), 50_000)
+    assert [kept.ready(env, frames) for frames in (62_996, 63_000, 63_096, 63_100)] == [1, 0, 0, 1]
+    assert [rounds_of.ready(env, frames) for frames in (999_800, 999_900, 999_904)] == [1, 0, 0]
+    assert not rounds_of.ready(SimpleNamespace(whole=lambda actor: False), 50_000)
 
 
 def test_a_short_run_an_eager_one_and_one_with_little_room_have_no_such_graph():
     env = SimpleNamespace(whole=lambda actor: True)
-    for compile, how in (
-        (True, {"total_frames": 100_000}),
-        (True, {"buffer_size": 99}),
-        (False, {}),
-    ):
-        assert not DQNConfig(**how).make(compile).rounds.fit(env, 50_000)
+    for compile, how in ((True, {"total_frames": 100_000}), (True, {"buffer_size": 99}), (False, {})):
+        assert not DQNConfig(**how).make(compile).rounds.ready(env, 50_000)
 
 
 @pytest.mark.parametrize("capacity", [40, 64, 1_000])
@@ -113,14 +123,14 @@ def test_what_rounds_draw_before_their_rows_are_there_is_what_each_reads_of_the_
             one.extend(batch)
     slow, fast = made
     batches = [steps() for _ in range(6)]
-    places, newest = fast.draw_ahead(6, 6, n_batches=2, batch_size=7)
+    places, fresh = fast.draw_ahead(6, 6, n_batches=2, batch_size=7)
     before, rows = fast.storage.ring.clone(), torch.cat([fast.rows(batch) for batch in batches])
-    assert (newest >= 0).any()
+    assert (fresh >= 0).any()
     for number, batch in enumerate(batches):
         slow.extend(batch)
         expected = slow.read(slow.draw(2, 7), slow.storage.ring)
         known = torch.where(torch.arange(36)[:, None, None] < 6 * (number + 1), rows, torch.nan)
-        drawn = TensorDict({"places": places[number], "newest": newest[number]}, [2, 2])
+        drawn = TensorDict({"places": places[number], "fresh": fresh[number]}, [2, 2])
         found = fast.read(drawn, before, known)
         assert (found == expected).all()
     fast.write(rows)

@@ -93,20 +93,31 @@ class Scan(Graph):
         step: (*state, *inputs, *constants) -> (*next state, *outputs).
         n_state, n_inputs: numbers of tensors in the state and in the inputs.
         time: the dimension of T in an output.
+        strict: raise a ConfigError where this is no graph, instead of running steps one by one.
         options: inductor's options.
 
     Call: (*state, *inputs [T, ...] of T steps, *constants) -> (*state after them, *outputs [..., T, ...]).
     """
 
-    def __init__(self, step: Function, n_state: int, n_inputs: int, time: int = 0, **options: Any) -> None:
+    def __init__(
+        self,
+        step: Function,
+        n_state: int,
+        n_inputs: int,
+        time: int = 0,
+        strict: bool = False,
+        **options: Any,
+    ) -> None:
         super().__init__(step, **options)
-        self.n_state, self.n_inputs, self.time = n_state, n_inputs, time
+        self.n_state, self.n_inputs, self.time, self.strict = n_state, n_inputs, time, strict
         self.whole = True  # no steps had to run one by one
 
     def _compile(self, tensors: Tensors) -> Function:
         try:
             return super()._compile(tensors)
         except ConfigError as error:
+            if self.strict:
+                raise
             graph, why = self._one_by_one(tensors), telling_line(error.__cause__ or error)
             warnings.warn(f"steps run one by one, slower ({why})", stacklevel=2)
             self.whole = False

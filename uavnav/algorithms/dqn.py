@@ -189,21 +189,18 @@ class DQN:
         self.learner = make_learner(self.loss, config, compile, self.transitions)
         self.replay = self.transitions.buffer
         renews = functools.partial(renews_target, config)
-        self.rounds = Rounds(config, self.actor, self.transitions, self.learner, renews)
+        rounds = Rounds(config, self.actor, self.transitions, self.learner, renews)
+        self.rounds = rounds if type(self).learn is DQN.learn else None
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
-        """Steps [A, W, T] into the buffer, then a round of updates, unless there were several rounds; now and
-        then a row, [A].
-        """
-        config, losses = self.config, self.rounds.losses
-        if not self.rounds.learned(batch):
-            self.transitions.extend(batch)
-            if renews_target(config, frames):
-                self.copy_to_target.step()
-            if frames > config.frames_before_learning:
-                drawn = self.transitions.draw(config.updates_per_step, config.batch_size)
-                losses = self.learner.learn(drawn)
+        """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
+        config, losses = self.config, {}
+        self.transitions.extend(batch)
+        if renews_target(config, frames):
+            self.copy_to_target.step()
+        if frames > config.frames_before_learning:
+            losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
         if not config.logs(frames):
             return None
         newest = batch["observation"][:, :, -1]

@@ -165,41 +165,41 @@ class Replay:
     def draw_ahead(
         self, n_rounds: int, n_rows: int, n_batches: int, batch_size: int
     ) -> tuple[Tensor, Tensor]:
-        """What K rounds draw that each begin with writing so many rows, before these are there: `places` as
-        of `draw`, [K, A, M, N, 1 + S]; and where each is among the rows of these rounds, or -1.
+        """Draw for K rounds ahead, each of which begins with writing so many rows: `places` as of `draw`,
+        [K, A, M, N, 1 + S]; and `fresh`, where each is among the rows of these rounds, or -1.
 
-        `write` them afterwards.
+        `write` the rows afterwards.
         """
         storage, sampler, n = self.storage, self.sampler, n_batches * batch_size
         first, written = self.writer.cursor, n_rows * torch.arange(1, n_rounds + 1)  # before a round draws
         sizes = (len(storage) + written).clamp(max=storage.max_size)
         drawn = torch.stack([sampler.draw(size, n) for size in sizes.tolist()])[:, None]
-        newest, size, written = (one[:, None, None, None] for one in (first + written - 1, sizes, written))
-        rows, agents = sampler.rows(drawn, newest, size), sampler.agents
+        written, size = written[:, None, None, None], sizes[:, None, None, None]
+        rows, agents = sampler.rows(drawn, first + written - 1, size), sampler.agents
         sampler.extend(self.writer.advance(n_rounds * n_rows))
-        age = (rows - first) % storage.max_size
-        newest = torch.where(age < written, age * len(agents) + agents, -1)
-        both = (rows * len(agents) + agents).movedim(1, 3), newest.movedim(1, 3)
-        shape = n_rounds, len(agents), n_batches, batch_size, -1
-        places, newest = (one.reshape(shape) for one in both)
-        return places, newest
+        age, shape = (rows - first) % storage.max_size, (n_rounds, len(agents), n_batches, batch_size, -1)
+        places, fresh = (
+            rows * len(agents) + agents,
+            torch.where(age < written, age * len(agents) + agents, -1),
+        )
+        return places.movedim(1, 3).reshape(shape), fresh.movedim(1, 3).reshape(shape)
 
     def write(self, rows: Tensor) -> None:
         """Fill the newest places with rows [n, A, F] that came after `draw_ahead`."""
         first = self.writer.cursor - len(rows)
         self.storage.put(torch.arange(first, first + len(rows)) % self.storage.max_size, rows)
 
-    def read(self, batch: TensorDictBase, ring: Tensor, fresh: Tensor | None = None) -> TensorDict:
+    def read(self, batch: TensorDictBase, ring: Tensor, new: Tensor | None = None) -> TensorDict:
         """The transitions [..., N] at places that were drawn, for a loss; compiled with it.
 
-        fresh: rows of the rounds of `draw_ahead` [n, A, F], which the ring lacks.
+        new: rows of the rounds of `draw_ahead` [n, A, F], which the ring lacks.
         """
         places = batch["places"]
         rows = ring.flatten(0, 1).index_select(0, places.flatten())
-        if fresh is not None:
-            newest = batch["newest"].flatten()
-            new = fresh.flatten(0, 1).index_select(0, newest.clamp(min=0))
-            rows = torch.where((newest >= 0)[:, None], new, rows)
+        if new is not None:
+            fresh = batch["fresh"].flatten()
+            newest = new.flatten(0, 1).index_select(0, fresh.clamp(min=0))
+            rows = torch.where((fresh >= 0)[:, None], newest, rows)
         rows = rows.reshape(*places.shape, -1)
         sizes = [self.size, 1, 1, 1, 1, self.size * self.keeps_next]
         observation, action, *flags, after = torch.split(rows, sizes, -1)

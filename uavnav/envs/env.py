@@ -287,7 +287,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
         actor: of this environment's agents, whose batch is [agents, environments].
         """
-        inputs = self.drawn(actor, n)
+        inputs = self.draw(actor, n)
         found = self.scan(actor, len(inputs))(*self.tensors, *inputs, *self.constants, *actor.weights)
         n_state = len(self.tensors)
         self.go_on(found[:n_state])
@@ -303,17 +303,20 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         """What each step is given: layouts, and where it is known, what is sensed first on each."""
         return [self.layouts, *self._first]
 
-    def drawn(self, actor: Actor, n: int) -> list[Tensor]:
+    def draw(self, actor: Actor, n: int) -> list[Tensor]:
         """All random numbers of an actor's next n steps and their episodes, [n, ...] each."""
-        return [*actor.draw(n, self.batch_size[1]), *self._chance.steps(n)]
+        _, environments = self.batch_size
+        return [*actor.draw(n, environments), *self._chance.steps(n)]
 
     def scan(self, actor: Actor, n_inputs: int) -> Scan:
-        """Steps of an actor: `tensors`, what was `drawn`, `constants` and weights -> `tensors`, `batch`'s."""
+        """Steps of an actor: `tensors`, what `draw` gives, `constants` and the actor's weights -> the next
+        `tensors`, then what `batch` takes.
+        """
         return self._scans.get(actor) or self._scans.setdefault(actor, self._scan(actor, n_inputs))
 
     def whole(self, actor: Actor) -> bool:
         """Whether the actor's steps were found to run as one graph."""
-        return actor in self._scans and self._scans[actor].whole
+        return self.compiled and actor in self._scans and self._scans[actor].whole
 
     def go_on(self, tensors: Sequence[Tensor]) -> None:
         """Go on from other `tensors`."""

@@ -37,13 +37,13 @@ Fit = Callable[[Recorder, bool, Tell | None], Run]
 
 
 class Several(Protocol):
-    """Iterations of a run that are one call, of an algorithm whose `Trainee` has them as `rounds`."""
+    """Iterations of a run that are one call, for an algorithm whose `Trainee` has them as `rounds`."""
 
-    def fit(self, env: DroneEnv, frames: int) -> bool:
-        """Whether the next ones after so many frames are."""
+    def ready(self, env: DroneEnv, frames: int) -> bool:
+        """Whether the next ones after so many frames can be, of which none gives a row of progress."""
 
-    def __call__(self, env: DroneEnv) -> TensorDictBase:
-        """Their steps [A, W, T], learned from already."""
+    def run(self, env: DroneEnv) -> TensorDictBase:
+        """Do them, learning included; their steps [A, W, T]."""
 
 
 class Trainee(Protocol):
@@ -105,19 +105,25 @@ class Session:
     def batches(self, rounds: Several | None = None) -> Iterator[tuple[int, TensorDictBase]]:
         """The run's steps [A, W, T], one batch after the other, each with the frames per seed at its end.
 
-        Between two batches, what was learned is saved where a snapshot is due. rounds: gives batches of
-        several iterations, learned from already, where it can.
+        Between two batches, what was learned is saved where a snapshot is due. rounds: does what lies between
+        two rows of progress where it can, and there is no batch of that.
         """
         collected = iter(make_collector(self.env, self.actor, self.config))
         self._began = time.perf_counter()
         while self.frames < self.config.frames:
-            several = rounds is not None and rounds.fit(self.env, self.frames)
-            batch = rounds(self.env) if rounds is not None and several else next(collected)
-            self.recorder.add_episodes(batch["next"], self.frames)
-            self.frames += batch.shape[1:].numel()
-            yield self.frames, batch
+            if rounds is not None and rounds.ready(self.env, self.frames):
+                self._note(rounds.run(self.env))
+            else:
+                batch = next(collected)
+                self._note(batch)
+                yield self.frames, batch
             self.recorder.tell(self.frames)
             self.recorder.checkpoint(self.frames, self.parts, self.replay)
+
+    def _note(self, batch: TensorDictBase) -> None:
+        """Keep the episodes that end in a batch, and count its frames."""
+        self.recorder.add_episodes(batch["next"], self.frames)
+        self.frames += batch.shape[1:].numel()
 
     def log(self, row: Row) -> None:
         """Keep a row of progress, with statistics of the policy's hidden units."""

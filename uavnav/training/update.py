@@ -208,8 +208,7 @@ class Learner:
     @property
     def in_turn(self) -> bool:
         """Whether agents are so large that they are updated one after the other."""
-        n_agents, size = len(self.params), sum(value.nbytes for value in self.tensors)
-        return self.on_cpu and n_agents > 1 and size >= LARGE * n_agents
+        return self.on_cpu and sum(value.nbytes for value in self.tensors) >= LARGE * len(self.params)
 
     def loop(self, keys: Sequence[str], n_memory: int) -> Loop:
         """Updates from minibatches with these keys, as one graph however many they are."""

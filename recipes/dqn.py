@@ -5,9 +5,9 @@ to change.
     python recipes/dqn.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu
     out=runs/mine python recipes/dqn.py -m activation=relu,leaky_relu,tanh,sigmoid
 
-`python recipes/dqn.py --help` says what each key means. All seeds learn side by side in this process, where
-`uavnav train dqn` spreads those of a long run over the cores. Letters: A seeds, W environments per seed, T
-steps.
+`python recipes/dqn.py --help` says what each key means. All seeds learn side by side in this process. In a
+long run, `uavnav train dqn` spreads them over the cores and does 25 rounds in one call, with the same bits.
+Letters: A seeds, W environments per seed, T steps.
 """
 
 import sys

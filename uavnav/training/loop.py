@@ -1,7 +1,8 @@
 """The one training loop: the only home of recorder, display, collector, workers and checkpoints.
 
 An algorithm's module imports `train` from here. The `make` of its configuration gives the loop a `Trainee`.
-On Ctrl-C the recorder notes the signal (`Recorder._note_stop`), and the iteration's end saves the run.
+On Ctrl-C the recorder notes the signal (`Recorder._note_stop`), and the end of the iteration, or of several
+in one call, saves the run.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ class Several(Protocol):
 
 
 class Trainee(Protocol):
-    """What the loop needs of an algorithm: all seeds' agents, A of them, in W environments each."""
+    """What the loop needs of an algorithm: all seeds' agents, A of them, in W environments each. It may have
+    `rounds` too, see `Several`.
+    """
 
     actor: Actor
     parts: Mapping[str, Stateful]  # what a snapshot must contain besides the environment and the actor

@@ -23,6 +23,7 @@ CASES = {
         "target_update_frames": 800,
         "buffer_size": 300,
         "hidden": (4,),
+        "keep_at": (0.3, 0.611),
     },
     # a step and 2 updates a round; as in test_algorithms
     "sac": {
@@ -52,8 +53,10 @@ def test_25_rounds_as_one_graph_are_25_rounds_bit_for_bit_also_after_a_stop(algo
     with pytest.raises(Interrupted):
         train(config, tmp_path / "stopped", quiet=True, processes=1, until=config.frames // 2)
     stopped = train(config, tmp_path / "stopped", quiet=True, processes=1)
+    kept_there = [*one_by_one.path.glob("policy-at-*")]  # which `same` does not know
+    assert len(kept_there) == len(config.keep_at)
     for other in (together, stopped):
-        for kept in one_by_one.path.glob("policy-at-*"):  # which `same` does not know
+        for kept in kept_there:
             assert kept.read_bytes() == (other.path / kept.name).read_bytes()
             (other.path / kept.name).unlink()
         same(one_by_one.path, other.path)

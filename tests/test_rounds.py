@@ -16,11 +16,11 @@ from uavnav.training.recorder import Interrupted
 
 SMALL = {"n_seeds": 2, "compile": "on", "learning_starts": 64, "lr": 1e-2}
 CASES = {
-    # 4 steps and an update a round; the target is renewed in rounds 200, 400 and 600; the ring has 300 rows
+    # 4 steps and an update a round; the target is renewed in rounds 225 and 450; the ring has 300 rows
     "dqn": {
         "n_envs": 1,
         "total_frames": 2_500,
-        "target_update_frames": 800,
+        "target_update_frames": 900,
         "buffer_size": 300,
         "hidden": (4,),
         "keep_at": (0.22, 0.58),  # between two rows, where blocks would lie
@@ -92,6 +92,8 @@ def test_no_round_of_a_graph_ends_with_a_row_a_renewed_target_or_a_policy_to_kee
     assert found == {*range(49_800, 70_000, 4)} - apart
     kept = DQNConfig(keep_at=(0.0631,)).make(compile=True).rounds
     assert [kept.ready(env, frames) for frames in (62_996, 63_000, 63_096, 63_100)] == [1, 0, 0, 1]
+    renewed = DQNConfig(target_update_frames=7_000).make(compile=True).rounds
+    assert [renewed.ready(env, frames) for frames in (55_896, 55_900, 55_996, 56_000)] == [1, 0, 0, 1]
     assert [rounds_of.ready(env, frames) for frames in (999_800, 999_900, 999_904)] == [1, 0, 0]
     assert not rounds_of.ready(SimpleNamespace(whole=lambda actor: False), 50_000)
 

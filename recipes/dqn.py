@@ -12,7 +12,7 @@ Letters: A seeds, W environments per seed, T steps.
 
 import sys
 
-from uavnav.__main__ import main  # before PyTorch
+from uavnav.__main__ import launch  # before PyTorch
 
 # isort: split
 from torchrl.objectives import HardUpdate
@@ -70,4 +70,4 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
 
 
 if __name__ == "__main__":
-    sys.exit(main(["train", "dqn", *sys.argv[1:]], fit=train))
+    sys.exit(launch(["train", "dqn", *sys.argv[1:]], fit=train))

@@ -12,7 +12,7 @@ steps.
 
 import sys
 
-from uavnav.__main__ import main  # before PyTorch
+from uavnav.__main__ import launch  # before PyTorch
 
 # isort: split
 import torch
@@ -71,4 +71,4 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
 
 
 if __name__ == "__main__":
-    sys.exit(main(["train", "ppo", *sys.argv[1:]], fit=train))
+    sys.exit(launch(["train", "ppo", *sys.argv[1:]], fit=train))

@@ -9,7 +9,7 @@
 
 import sys
 
-from uavnav.__main__ import main
+from uavnav.__main__ import launch
 
 if __name__ == "__main__":
-    sys.exit(main(["train", "pqn", *sys.argv[1:]]))
+    sys.exit(launch(["train", "pqn", *sys.argv[1:]]))

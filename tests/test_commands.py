@@ -4,9 +4,11 @@ tells.
 
 import dataclasses
 import importlib
+import os
 import re
 import shlex
 import signal
+import sys
 import tomllib
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from pages import ALL, CONFIGS, table
 
 import uavnav
 from uavnav import settings
-from uavnav.__main__ import main
+from uavnav.__main__ import ALLOCATOR, main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands, help, terminal
 from uavnav.cli.help.render import render
@@ -82,6 +84,33 @@ def test_the_wheel_has_the_command_and_what_it_reads():
     assert set(map(help.text_of, ALGORITHMS)) <= {path for one in data for path in help.HERE.glob(one)}
     folders = {path.parent.relative_to(PACKAGE.parent).as_posix() for path in PACKAGE.rglob("*.py")}
     assert {name.replace(".", "/") for name in project["tool"]["setuptools"]["packages"]} == folders
+
+
+@pytest.mark.parametrize(
+    ("started", "platform", "allocator", "begins_again"),
+    [
+        ("python -m uavnav train ppo --cfg job", "linux", None, True),
+        ("python -m uavnav train ppo --cfg job", "linux", "of the user's", False),
+        ("python -m uavnav train ppo --cfg job", "darwin", None, False),
+        ("python flights.py --fast", "linux", None, False),
+        ("python -m uavnav --version", "linux", None, False),
+    ],
+)
+def test_training_begins_its_process_again_with_an_allocator_that_keeps_more_blocks(
+    started, platform, allocator, begins_again, monkeypatch, capsys
+):
+    words = started.split()
+    monkeypatch.setattr(sys, "orig_argv", words)
+    monkeypatch.setattr(sys, "argv", ["uavnav", *(words[3:] or ["train", "ppo", "--cfg", "job"])])
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setenv("GLIBC_TUNABLES", allocator or "")
+    if allocator is None:
+        monkeypatch.delenv("GLIBC_TUNABLES")
+    calls = []
+    monkeypatch.setattr(os, "execv", lambda path, argv: calls.append((path, argv)))
+    main()
+    assert calls == ([(sys.executable, [sys.executable, *words[1:]])] if begins_again else [])
+    assert os.environ.get("GLIBC_TUNABLES") == (ALLOCATOR if begins_again else allocator)
 
 
 @pytest.mark.parametrize("words", [["evalute"], ["evalute", "runs/ppo/tanh"]])

@@ -27,7 +27,8 @@ def launch(argv: Sequence[str], **how: Any) -> int:
     given = sys.argv[1:]
     ours = sys.orig_argv[len(sys.orig_argv) - len(given) :] == given  # no program that runs a command
     trains = argv[:1] and argv[0] in TRAINS
-    if sys.platform == "linux" and ours and trains and "GLIBC_TUNABLES" not in os.environ:
+    tuned = "GLIBC_TUNABLES" in os.environ
+    if sys.platform == "linux" and sys.executable and ours and trains and not tuned:
         os.environ["GLIBC_TUNABLES"] = ALLOCATOR
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     return main(argv, **how)

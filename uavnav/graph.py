@@ -198,8 +198,7 @@ class Loop(Graph):
 
     def within(self, tensors: Tensors) -> Function:
         """All updates as a function that is part of another graph: -> (mean of `found`, *next state)."""
-        rates, *others = tensors
-        state, constants, batches = parts(others, self.n_state, self.n_constants)
+        (rates,), state, constants, batches = parts(tensors, 1, self.n_state, self.n_constants)
         first = rates[0], *state, *constants, *(batch[:, 0] for batch in batches)
         update = _each_once(make_fx(self.function)(*first))
         shape = update(*first)[0].shape
@@ -208,15 +207,14 @@ class Loop(Graph):
             return index < len(rest[self.n_state])
 
         def body(index: Tensor, total: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
-            state, (rates, *others) = rest[: self.n_state], rest[self.n_state :]
-            constants, batches = others[: self.n_constants], others[self.n_constants :]
+            state, (rates,), constants, batches = parts(rest, self.n_state, 1, self.n_constants)
             rate = rates.index_select(0, index[None]).squeeze(0)
             batch = [one.index_select(1, index[None]).squeeze(1) for one in batches]
             found, *following = update(rate, *state, *constants, *batch)
             return index + 1, total + found, *following
 
         def updates(rates: Tensor, *tensors: Tensor) -> Tensors:
-            state, others = tensors[: self.n_state], tensors[self.n_state :]
+            state, others = parts(tensors, self.n_state)
             index = torch.zeros((), dtype=torch.int64, device=rates.device)
             total = torch.zeros(shape, device=rates.device)
             if len(rates) == 1:  # a loop would carry the state through copies

@@ -18,7 +18,7 @@ from torchrl.envs import EnvBase
 
 from uavnav.acting import Actor
 from uavnav.errors import ConfigError, told
-from uavnav.graph import Graph, Scan
+from uavnav.graph import Graph, Scan, parts
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.seeding import Chance, places
 from uavnav.tasks.state import COUNTS, UP, State, where
@@ -252,11 +252,9 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         given = (tensordict.get("action"), headings, self.layouts, *self._first)
         found = self._advance(*self._now.state, *given, *(one for one in (later, first) if one is not None))
         bare = self.task.STATE
-        after = N_LEAVES + len(bare._fields)
-        leaves, final, following = found[:N_LEAVES], bare(*found[N_LEAVES:after]), found[after:]
-        self._now.observation, self._now.state = following[0], self.task.state_class(*following[1:])
-        self._now.begins_here = False
-        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), final))
+        leaves, final, (observation, *state) = parts(found, N_LEAVES, len(bare._fields))
+        self.go_on([*state, observation])
+        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), bare(*final)))
         return tensordict, self.root()
 
     def compile(self) -> DroneEnv:
@@ -334,17 +332,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self._batch(root, rows[:N_COUNTS])
 
     def _scan(self, actor: Actor, n_inputs: int) -> Scan:
-        n_state, n_first = len(self.task.state_class._fields), len(self._first)
+        n_state, n_given = len(self.task.state_class._fields), len(self.constants)
         counted = [self.task.state_class._fields.index(name) for name in ("layout", *COUNTS)]
 
         def step(*tensors: Tensor) -> Sequence[Tensor]:
-            state, (observation, *others) = tensors[:n_state], tensors[n_state:]
-            (uniform, epsilon, heading, *draws), others = others[:n_inputs], others[n_inputs:]
-            (layouts, *known), weights = others[: 1 + n_first], others[1 + n_first :]
+            state, (observation,), inputs, given, weights = parts(tensors, n_state, 1, n_inputs, n_given)
+            uniform, epsilon, heading, *draws = inputs
             (action,) = actor.choose(observation, uniform, epsilon, *weights)
-            found = self._advance_rows(*state, action, heading, layouts, *known, *reversed(draws))
-            after = N_LEAVES + len(self.task.STATE._fields)
-            leaves, final, (seen, *following) = found[:N_LEAVES], found[N_LEAVES:after], found[after:]
+            found = self._advance_rows(*state, action, heading, *given, *reversed(draws))
+            leaves, final, (seen, *following) = parts(found, N_LEAVES, len(self.task.STATE._fields))
             before = [action, observation, *(state[field] for field in counted)]
             return *following, seen, *before, *leaves, *(final[field] for field in counted)
 
@@ -355,24 +351,22 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         its state without what it remembers, where to go on.
         """
         kind = self.task.state_class
-        state, (action, heading, layouts, *others) = (
-            kind(*tensors[: len(kind._fields)]),
-            tensors[len(kind._fields) :],
+        before, (action, heading, layouts), known, draws = parts(
+            tensors, len(kind._fields), 3, len(self._first)
         )
-        later, first = others[-2:] if self.task.n_draws else (None, None)
+        later, first = draws or (None, None)
         task = self.task.replace(layouts=layouts)
-        final, outcome = task.step(state, action, later)
+        final, outcome = task.step(kind(*before), action, later)
         done = outcome.terminated | outcome.truncated
         # compared below: a remainder would divide for each number that is looked up
         following = final.layout + 1
         following = torch.where(following < layouts.shape[0], following, 0)
-        known = others[: len(self._first)] if task.remembers else ()
-        fresh = task.start(following, heading, first, *known)
+        fresh = task.start(following, heading, first, *(known if task.remembers else ()))
         state = where(done, fresh, final)
         if task.remembers:
             observation = task.recall(state)
         elif self._first:
-            observation = torch.where(done[..., None], others[0][fresh.layout], outcome.observation)
+            observation = torch.where(done[..., None], known[0][fresh.layout], outcome.observation)
         else:
             observation, _ = task.observe(state)
         return *_leaves(outcome).values(), *final[: len(task.STATE._fields)], observation, *state

@@ -138,7 +138,8 @@ class C51Loss(LossModule):  # type: ignore[misc]
             best = values_of(self.config.head, judge).argmax(-1)
             discount = self.config.discount ** batch.get("steps_to_next_obs", 1) * ~following["terminated"]
             places = following["reward"] + discount * self.atoms
-            target = project(_of_action(self._logits(outputs), best).softmax(-1), places, self.atoms)
+            of_best = _chosen(self._logits(outputs), best[..., None]).squeeze(-2)
+            target = project(of_best.softmax(-1), places, self.atoms)
         return TensorDict({"loss": -(target * predicted).sum(-1)})
 
     def _outputs(self, rows: TensorDictBase, parameters: TensorDictParams) -> Tensor:
@@ -156,7 +157,7 @@ class C51Loss(LossModule):  # type: ignore[misc]
             *_, last = network = self.value_network.module
             features: Tensor = network[:-1](batch["observation"])
             weight, bias = (
-                _of_actions(self._logits(part), batch["action"]) for part in (last.weight, last.bias)
+                _chosen(self._logits(part), batch["action"][:, None]) for part in (last.weight, last.bias)
             )
         return (features[..., None] * weight.transpose(1, 2)).sum(-2) + bias[:, 0]
 
@@ -166,13 +167,7 @@ class C51Loss(LossModule):  # type: ignore[misc]
         return by_atom(outputs, len(self.atoms))
 
 
-def _of_action(values: Tensor, action: Tensor) -> Tensor:
-    """[..., actions, n], [...] -> [..., n]."""
-    index = action[..., None, None].expand(*action.shape, 1, values.shape[-1])
-    return values.gather(-2, index).squeeze(-2)
-
-
-def _of_actions(values: Tensor, actions: Tensor) -> Tensor:
-    """[A, inputs, actions, n], [A, B] -> [A, inputs, B, n]."""
-    index = actions[:, None, :, None].expand(-1, values.shape[1], -1, values.shape[-1])
+def _chosen(values: Tensor, actions: Tensor) -> Tensor:
+    """Those of some actions: [..., actions, n], [..., B] -> [..., B, n]."""
+    index = actions[..., None].expand(*values.shape[:-2], -1, values.shape[-1])
     return values.gather(-2, index)

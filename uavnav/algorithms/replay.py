@@ -178,10 +178,8 @@ class Replay:
         rows, agents = sampler.rows(drawn, first + written - 1, size), sampler.agents
         sampler.extend(self.writer.advance(n_rounds * n_rows))
         age, shape = (rows - first) % storage.max_size, (n_rounds, len(agents), n_batches, batch_size, -1)
-        places, fresh = (
-            rows * len(agents) + agents,
-            torch.where(age < written, age * len(agents) + agents, -1),
-        )
+        places = rows * len(agents) + agents
+        fresh = torch.where(age < written, age * len(agents) + agents, -1)
         return places.movedim(1, 3).reshape(shape), fresh.movedim(1, 3).reshape(shape)
 
     def write(self, rows: Tensor) -> None:

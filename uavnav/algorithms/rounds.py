@@ -47,13 +47,8 @@ class Rounds:
         learner: Learner,
         renews: Callable[[int], bool] = lambda frames: False,
     ) -> None:
-        self.config, self.actor, self.replay, self.learner, self.renews = (
-            config,
-            actor,
-            replay,
-            learner,
-            renews,
-        )
+        self.config, self.actor, self.renews = config, actor, renews
+        self.replay, self.learner = replay, learner
         n_updates, room = config.updates_per_step, replay.storage.max_size // config.frames_per_iteration
         small = learner.on_cpu and not learner.in_turn and n_updates <= MOST_UPDATES
         long = config.updates // n_updates >= LEAST_ROUNDS and room >= ROUNDS

@@ -102,10 +102,8 @@ class SACLoss(nn.Module):
         self.policy, self.twins = policy, twins
         self.target_twins = copy.deepcopy(twins).requires_grad_(False)
         self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1))
-        self.gamma, self.target_entropy = (
-            config.gamma,
-            config.target_entropy * math.log(config.world.n_actions),
-        )
+        self.gamma = config.gamma
+        self.target_entropy = config.target_entropy * math.log(config.world.n_actions)
 
     def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Transitions [A, N] -> `loss_actor`, `loss_qvalue` and `loss_alpha`, each [A, N]."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,13 +47,9 @@ def split_of(ladder: str, rung: float, split: str = "test") -> str:
     return f"{ladder}-{rung:g}/{split}"
 
 
-def other_layouts(ladder: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
+def other_layouts(ladder: str, task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
     """The policy's task on a rung's layouts: so many obstacles each, or columns with a gap of so many px."""
-
-    def at(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-        return task.on(split_of(ladder, rung, split), task.max_steps)
-
-    return at
+    return task.on(split_of(ladder, rung, split), task.max_steps)
 
 
 def arc(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
@@ -83,23 +80,22 @@ def speed(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
     return replace(task, task=kind(world, layouts.resolve(all_layouts, world), task.reward, task.max_steps))
 
 
-def fault(name: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
+def fault(name: str, task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
     """The policy's task with one fault of the sensor or the actuator at a value; its other faults stay."""
-
-    def at(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
-        return task.replace(faults=task.faults.replace(**{name: rung})).on(split, task.max_steps)
-
-    return at
+    return task.replace(faults=task.faults.replace(**{name: rung})).on(split, task.max_steps)
 
 
 LADDERS = {
     "density": Ladder(
-        "obstacles a layout", tuple(range(0, 21, 2)), other_layouts("density"), of=("drone", "moving", "goal")
+        "obstacles a layout",
+        tuple(range(0, 21, 2)),
+        partial(other_layouts, "density"),
+        of=("drone", "moving", "goal"),
     ),
     "slalom": Ladder(
         "gap [px]",
         (160, 140, 120, 110, 100, 90, 80, 70),
-        other_layouts("slalom"),
+        partial(other_layouts, "slalom"),
         slalom.passages,
         ("drone",),
     ),
@@ -112,10 +108,12 @@ LADDERS = {
         of=("drone", "moving", "space", "space-moving"),
         any_task=False,
     ),
-    "noise": Ladder("noise σ of the sensed distance [px]", (0, 2, 5, 10, 20), fault("noise")),
-    "lost": Ladder("probability of an echo to be lost", (0, 0.05, 0.1, 0.2, 0.4), fault("lost")),
-    "late": Ladder("delay of observations [steps]", (0, 1, 2, 4, 8), fault("late")),
-    "sticky": Ladder("probability of an action to be repeated", (0, 0.1, 0.25, 0.5), fault("sticky")),
+    "noise": Ladder("noise σ of the sensed distance [px]", (0, 2, 5, 10, 20), partial(fault, "noise")),
+    "lost": Ladder("probability of an echo to be lost", (0, 0.05, 0.1, 0.2, 0.4), partial(fault, "lost")),
+    "late": Ladder("delay of observations [steps]", (0, 1, 2, 4, 8), partial(fault, "late")),
+    "sticky": Ladder(
+        "probability of an action to be repeated", (0, 0.1, 0.25, 0.5), partial(fault, "sticky")
+    ),
 }
 """By name, in the order of a report."""
 

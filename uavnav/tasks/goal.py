@@ -147,7 +147,7 @@ def shortest_ways(standing: Array, world: World) -> Array:
 
 def _draw_goal(standing: Array, rng: np.random.Generator, world: GoalWorld) -> Array | None:
     """(x, y, shortest) of a goal among circles [K, 3], or None where none of 100 can be reached."""
-    drawn = rng.random((20 * TRIES, 2)) * np.array([world.width, world.height])
+    drawn = rng.random((20 * TRIES, 2)) * np.array(world.size)
     drawn = drawn.astype(np.float32).astype(np.float64)
     far = np.hypot(*(drawn - np.array(world.start)).T) >= FAR
     goals = drawn[far & (_room(drawn, standing, world) >= ROOM)][:TRIES]
@@ -169,11 +169,9 @@ def _room(places: Array, standing: Array, world: World) -> Array:
     border = np.minimum(
         np.minimum(x - inner, world.width - inner - x), np.minimum(y - inner, world.height - inner - y)
     )
-    if not len(standing):
-        return np.asarray(border)
     offset = places[:, None] - standing[None, :, :2].astype(np.float64)
     edges = np.hypot(offset[..., 0], offset[..., 1]) - standing[:, 2]
-    return np.asarray(np.minimum(border, edges.min(1)))
+    return np.asarray(np.minimum(border, edges.min(1, initial=np.inf)))
 
 
 @functools.lru_cache(maxsize=2)

@@ -79,9 +79,9 @@ def facts(kind: type[Kind], said: Any) -> Kind:
         raise ValueError(f"{'.'.join(map(str, first['loc'])) or 'all'}={value!s}") from None
 
 
-def read_json(path: str | Path, most: int = SETTINGS_BYTES) -> Any:
+def read_json(path: str | Path) -> Any:
     """What a JSON file says; raises an OSError as `read` does, and a ValueError where it is no JSON."""
-    return parsed(read(path, most))
+    return parsed(read(path, SETTINGS_BYTES))
 
 
 def parsed(text: str | bytes) -> Any:

@@ -13,14 +13,14 @@ from uavnav import files
 METADATA = "__metadata__"
 
 
-def read(path: str | Path, most: int = files.MEMORY_BYTES) -> tuple[dict[str, Tensor], dict[str, str]]:
+def read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The tensors of a file by name, and what its header says of them.
 
     Raises:
-        OSError: it is no regular file of at most so many bytes, or cannot be read.
+        OSError: it is no regular file that fits into memory, or cannot be read.
         ValueError: it is no safetensors.
     """
-    return parsed(files.read(path, most))
+    return parsed(files.read(path))
 
 
 def parsed(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:

@@ -212,31 +212,37 @@ class TrainConfig(Settings):
         """Raise a ConfigError where what all seeds learn would not fit into the machine's memory."""
         sizes = [self.observation_size, *self.hidden, self.n_outputs]
         weights = self.n_seeds * sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
-        named = f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs"
-        self.check_memory(named, 4 * self.COPIES * weights, "smaller networks or fewer seeds")
+        self.check_memory(
+            f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs",
+            4 * self.COPIES * weights,
+            "smaller networks or fewer seeds",
+        )
         steps = self.n_seeds * self.frames_per_iteration
-        named = f"n_seeds={self.n_seeds}, n_envs={self.n_envs}: the {steps:,} frames of an iteration"
-        needed = steps * (2 * 4 * self.observation_size + STEP_BYTES)
-        self.check_memory(named, needed, "fewer frames an iteration, environments or seeds")
+        self.check_memory(
+            f"n_seeds={self.n_seeds}, n_envs={self.n_envs}: the {steps:,} frames of an iteration",
+            steps * (2 * 4 * self.observation_size + STEP_BYTES),
+            "fewer frames an iteration, environments or seeds",
+        )
         self.check_memory(
             f"n_seeds={self.n_seeds}: their orders of a layout file", SEED_BYTES * self.n_seeds, "fewer seeds"
         )
-        named = f"hidden={told(list(self.hidden))}: the products of the last layer's units"
         self.check_memory(
-            named, 12 * self.n_seeds * self.hidden[-1] ** 2, "a narrower last layer or fewer seeds"
+            f"hidden={told(list(self.hidden))}: the products of the last layer's units",
+            12 * self.n_seeds * self.hidden[-1] ** 2,
+            "a narrower last layer or fewer seeds",
         )
-        if self.stack > 1 or self.faults.late:
-            kept = max(self.stack, self.faults.late) * self.world.observation_size
-            named = (
-                f"stack={self.stack}, faults.late={self.faults.late}: the observations that are remembered"
-            )
-            self.check_memory(
-                named, 4 * self.n_seeds * self.n_envs * kept, "fewer of them, environments or seeds"
-            )
+        kept = max(self.stack, self.faults.late) * self.world.observation_size
+        self.check_memory(
+            f"stack={self.stack}, faults.late={self.faults.late}: the observations that are remembered",
+            4 * self.n_seeds * self.n_envs * kept,
+            "fewer of them, environments or seeds",
+        )
         rows = self.frames // max(self.frames_between_rows, self.frames_per_iteration)
-        named = f"total_frames={self.total_frames}: its {rows:,} rows of progress a seed"
-        needed = rows * (ROW_BYTES + self.n_seeds * 8 * ROW_COLUMNS)
-        self.check_memory(named, needed, "fewer frames, or more of them an iteration")
+        self.check_memory(
+            f"total_frames={self.total_frames}: its {rows:,} rows of progress a seed",
+            rows * (ROW_BYTES + self.n_seeds * 8 * ROW_COLUMNS),
+            "fewer frames, or more of them an iteration",
+        )
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
         """Raise a ConfigError where something takes more bytes than there are; instead: what to give."""

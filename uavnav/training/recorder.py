@@ -469,17 +469,15 @@ class Recorder:
 
         following: the ("next", ...) part of collected steps [A, W, T]; frame: per seed, before the batch.
         """
-        done = following["done"].squeeze(-1)
-        agent, env, time_step = (index.cpu() for index in done.nonzero(as_tuple=True))
+        done = following["done"].squeeze(-1).permute(2, 1, 0)  # in order of time
+        time_step, env, agent = (index.cpu() for index in done.nonzero(as_tuple=True))
         if not len(agent):
             return
-        n_envs = done.shape[1]
-        order = torch.argsort(time_step * n_envs + env, stable=True)
-        agent, env, time_step = agent[order], env[order], time_step[order]
         ended = following[agent, env, time_step]
         flags = {name: ended[name].squeeze(-1) for name in ("terminated", "truncated")}
         counts = {name: ended["episode", name] for name in ("layout", *COUNTS)}
-        self._append_episodes(agent, frame=frame + (time_step + 1) * n_envs, env=env, **counts, **flags)
+        ends = frame + (time_step + 1) * done.shape[1]
+        self._append_episodes(agent, frame=ends, env=env, **counts, **flags)
         self._see_ended(self._tables["episodes"][-1])
 
     def add_open_episodes(self, state: State, frame: int) -> None:

@@ -173,11 +173,10 @@ class Learner:
         params, moments = self.optimiser.step(rate, params, gradient, state["moments"])
         following = {"params": params, "moments": moments}
         if self.tau:
-            pairs = [
-                (name, target, params[name.removeprefix("target_")])
+            following["targets"] = {
+                name: target.lerp(params[name.removeprefix("target_")], self.tau)
                 for name, target in state["targets"].items()
-            ]
-            following["targets"] = {name: target.lerp(value, self.tau) for name, target, value in pairs}
+            }
         return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
 
     def rates(self, n: int) -> Tensor:

@@ -34,7 +34,7 @@ from uavnav import files, plugins
 from uavnav.runs import POLICY, PROGRESS, STOP, WORKERS, Run, kept, progress
 from uavnav.runs.lately import NOTHING, Lately, all_seeds
 from uavnav.runs.metrics import has_ended
-from uavnav.runs.tables import LOCK, RunError, with_reward, write
+from uavnav.runs.tables import LOCK, RunError, joined, with_reward, write
 from uavnav.training import heartbeat, weights
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Update
@@ -303,19 +303,14 @@ def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
 
 def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
     """Episodes as one process would have noted them: in the order of their ends, then those cut off."""
-    there = [table for table in episodes if len(table)]
-    if not there:
-        return episodes[0]
-    table = pd.concat(there, ignore_index=True)
+    table = joined(episodes)
+    if table.empty:  # it may have no columns
+        return table
     open_at_the_end = ~has_ended(table)
     ended = table[~open_at_the_end].sort_values(["frame", "env", "seed"], kind="stable")
     return pd.concat([ended, table[open_at_the_end].sort_values(["seed", "env"])], ignore_index=True)
 
 
 def _by_frame(progress: list[pd.DataFrame]) -> pd.DataFrame:
-    there = [table for table in progress if len(table)]
-    if not there:
-        return progress[0]
-    return pd.concat(there, ignore_index=True).sort_values(
-        ["frame", "seed"], kind="stable", ignore_index=True
-    )
+    table = joined(progress)
+    return table if table.empty else table.sort_values(["frame", "seed"], kind="stable", ignore_index=True)

@@ -220,24 +220,21 @@ class Recorder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock.acquire(blocking=False)
+            try:
+                if self._check_folder():
+                    raise RunError(
+                        f"out={self.path}: was finished by another process meanwhile; give the command again"
+                    )
+                self._begin()
+            except BaseException:
+                self._release()
+                raise
         except Timeout:
             raise RunError(
                 f"out={self.path}: another process is writing this run; wait for it, or give another folder"
             ) from None
         except OSError as error:
             raise self._unwritable(error) from error
-        try:
-            if self._check_folder():
-                raise RunError(
-                    f"out={self.path}: was finished by another process meanwhile; give the command again"
-                )
-            self._begin()
-        except OSError as error:
-            self._release()
-            raise self._unwritable(error) from error
-        except BaseException:
-            self._release()
-            raise
         self.stop: int | None = None
         self._handlers: dict[int, Any] = {}
         # Ctrl-C is noted: the next `checkpoint` saves and raises `Interrupted`; a second one ends at once

@@ -197,30 +197,28 @@ def configurations(study: Study, out: Path) -> list[Configuration]:
     """
     found: list[Configuration] = []
     left = MOST_CONFIGURATIONS
-    for configuration in study.configurations:
-        for algorithm in algorithms(configuration):
-            if algorithm not in ALGORITHMS:
-                raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
-            own = _of(algorithm, study.settings) | _of(algorithm, configuration)
-            several = {**own, "algorithm": algorithm, **study.given}
-            left -= _number(several)
-            if left < 0:
-                raise ConfigError(
-                    f"study {study.name}: configurations stand for more than {MOST_CONFIGURATIONS:,} runs; "
-                    "give fewer values"
-                )
-            try:
+    try:
+        for configuration in study.configurations:
+            for algorithm in algorithms(configuration):
+                if algorithm not in ALGORITHMS:
+                    raise unknown("algorithm", algorithm, ALGORITHMS)
+                own = _of(algorithm, study.settings) | _of(algorithm, configuration)
+                several = {**own, "algorithm": algorithm, **study.given}
+                left -= _number(several)
+                if left < 0:
+                    raise ConfigError(
+                        f"configurations stand for more than {MOST_CONFIGURATIONS:,} runs; give fewer values"
+                    )
                 found += [
                     _configuration(one, out)._replace(study=study.name) for one in _combinations(several)
                 ]
-            except (ConfigError, LayoutError) as error:
-                raise ConfigError(f"study {study.name}: {error}") from error
-    for folder, number in Counter(one.out for one in found).items():
-        if number > 1:
-            raise ConfigError(
-                f"study {study.name}: folder={folder}: two configurations share it; name in braces what "
-                "they differ in"
-            )
+        for folder, number in Counter(one.out for one in found).items():
+            if number > 1:
+                raise ConfigError(
+                    f"folder={folder}: two configurations share it; name in braces what they differ in"
+                )
+    except (ConfigError, LayoutError) as error:
+        raise ConfigError(f"study {study.name}: {error}") from error
     return found
 
 
@@ -232,7 +230,7 @@ def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _is_list(key: str, value: Any) -> bool:
     """Whether a value stands for several configurations; a list of units or of shares is one value."""
-    return isinstance(value, list) and not (key in LISTS and not any(isinstance(one, list) for one in value))
+    return isinstance(value, list) and (key not in LISTS or any(isinstance(one, list) for one in value))
 
 
 def _number(several: Mapping[str, Any]) -> int:

@@ -233,8 +233,6 @@ def runs_below(folder: Path) -> str:
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
     """What a config.yaml or meta.json contains; raises a RunError if missing, damaged, or no run's."""
-    said: Any
-    kind: type[Facts]
     kind, what = (Meta, "facts") if path.suffix == ".json" else (Config, "configuration")
     try:
         said = files.read_json(path) if kind is Meta else files.read_yaml(path)

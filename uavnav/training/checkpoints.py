@@ -143,7 +143,7 @@ class Checkpoints:
             RunError: there are snapshots, and none can be used.
         """
         states, problems = self._states(), list[RunError]()
-        for path in states:
+        for index, path in enumerate(states):
             try:
                 snapshot = self._read_state(path)
                 self._check_chunks(snapshot, replay)
@@ -156,10 +156,10 @@ class Checkpoints:
             if replay is not None:
                 for name in snapshot.chunks:
                     _refill(replay, _first_row(name), self._read(self.folder / name)[0])
-            for damaged in states[: states.index(path)]:  # they would count among the two that are kept
+            for damaged in states[:index]:  # they would count among the two that are kept
                 damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
-            others = self._readable(states[states.index(path) + 1 :])
+            others = self._readable(states[index + 1 :])
             self._kept = [snapshot.chunks, *(one.chunks for one in others)]
             self._rows_saved = snapshot.frames
             self._drop_strays()

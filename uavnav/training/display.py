@@ -39,7 +39,7 @@ class Display:
             TextColumn("{task.fields[line]}", markup=False), disable=quiet, console=_console()
         )
         self._task = self._progress.add_task("", total=config.frames, line="")
-        self._since: tuple[float, int] | None = None
+        self._since = 0.0, 0  # from when the pace is measured, and frames per seed by then
         self._told_how_long = False
 
     def __enter__(self) -> Self:
@@ -64,7 +64,7 @@ class Display:
         """frames: per seed so far; lately: what the seeds do."""
         now, total = time.monotonic(), self._config.frames
         # the first row leaves out what was compiled before; a worker's frames come with its first word
-        if self._since is None or not self._since[1] or frames <= self._config.frames_before_learning:
+        if not self._since[1] or frames <= self._config.frames_before_learning:
             self._since = now, frames
         seconds, done = now - self._since[0], frames - self._since[1]
         rate = done / seconds if seconds and done > 0 else None

@@ -33,7 +33,7 @@ class Heartbeat:
         self.asked = False  # somebody has written the file `stop`
         self.lately = NOTHING
         self._frames, self._rate = frames, 0.0
-        self._first: tuple[float, int] | None = None
+        self._first = 0.0, 0  # when frames were known first, and how many
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -52,7 +52,7 @@ class Heartbeat:
         """Note how many frames per seed there are now, for the next beat."""
         now = time.perf_counter()
         # a worker's frames of before a resume come with its first word
-        if self._first is None or not self._first[1]:
+        if not self._first[1]:
             self._first = now, frames
         since, before = self._first
         self._frames, self._rate = frames, (frames - before) / (now - since) if now > since else 0.0

@@ -96,22 +96,19 @@ def _ends(
     """Both ends of the intervals of a table [R, S]: [statistics, R] each."""
     low, high = value.copy(), value.copy()
     n, varies = table.shape[-1], np.ptp(table, axis=-1) > 0
-    if n < FEW and np.mean in statistics:
-        mean = [statistic is np.mean for statistic in statistics]
-        with np.errstate(invalid="ignore"):  # infinite seeds
-            half = special.stdtrit(n - 1, TAILS[1]) * table.std(-1, ddof=1) / np.sqrt(n) * varies
-            low[mean], high[mean] = value[mean] - half, value[mean] + half
-        others = [statistic for statistic in statistics if statistic is not np.mean]
-        if others:
-            low[np.invert(mean)], high[np.invert(mean)] = _ends(table, others, value[np.invert(mean)], seed)
-        return low, high
-    if varies.any():
-        low[:, varies] = np.nan
+    of_student = np.array([n < FEW and statistic is np.mean for statistic in statistics])
+    with np.errstate(invalid="ignore"):  # infinite seeds
+        half = special.stdtrit(n - 1, TAILS[1]) * table.std(-1, ddof=1) / np.sqrt(n) * varies
+        low[of_student], high[of_student] = value[of_student] - half, value[of_student] + half
+    drawn = [statistic for statistic, one in zip(statistics, of_student, strict=True) if not one]
+    if drawn and varies.any():
+        places = np.ix_(~of_student, varies)
+        low[places] = np.nan
         with warnings.catch_warnings(action="ignore"):  # scipy warns when BCa is undefined, and returns NaN
             for method in ("BCa", "percentile"):
                 found = stats.bootstrap(
                     (table[varies],),
-                    lambda drawn, axis: _each(drawn, statistics, axis),
+                    lambda rows, axis: _each(rows, drawn, axis),
                     n_resamples=RESAMPLES,
                     batch=max(1, _AT_ONCE // table.size),
                     confidence_level=CONFIDENCE,
@@ -119,10 +116,10 @@ def _ends(
                     rng=seed,
                     axis=-1,
                 ).confidence_interval
-                lacks = np.isnan(low[:, varies])
-                low[:, varies] = np.where(lacks, found.low, low[:, varies])
-                high[:, varies] = np.where(lacks, found.high, high[:, varies])
-                if not np.isnan(low).any():
+                lacks = np.isnan(low[places])
+                low[places] = np.where(lacks, found.low, low[places])
+                high[places] = np.where(lacks, found.high, high[places])
+                if not np.isnan(low[places]).any():
                     break
     return low, high
 
@@ -189,11 +186,8 @@ def welch(samples: Sequence[Array], weights: Array, paired: bool = False) -> Con
         np.stack([np.where(np.ptp(one, -1) > 0, one.var(-1, ddof=1), 0.0) for one in samples], -1) / sizes
     )
     parts = variances[..., None, :] * weights**2  # [..., J, C]
-    both = np.stack([(parts * (sign * weights > 0)).sum(-1) for sign in (1, -1)])
-    one_sided = np.stack([~(sign * weights > 0).any(-1) for sign in (1, -1)]).reshape(
-        2, *[1] * (both.ndim - 2), -1
-    )
-    varies = ((both > 0) | one_sided).all(0)
+    sides = [sign * weights > 0 for sign in (1, -1)]  # a side without configurations needs none that vary
+    varies = np.all([((parts * side).sum(-1) > 0) | ~side.any(-1) for side in sides], axis=0)
     squared = np.where(varies, parts.sum(-1), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         df = np.where(varies, squared**2 / (parts**2 / (sizes - 1)).sum(-1), 1.0)

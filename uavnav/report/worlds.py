@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,13 +20,11 @@ from uavnav.report.claims import ALL_TASKS, CRASHED, EXPLAINS, RANKED, SCATTER, 
 from uavnav.report.configurations import MODE, apart, order, settings_of
 from uavnav.report.frames import Rows, columns
 from uavnav.runs import Run, run_folders
+from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTED, USUAL
-
-if TYPE_CHECKING:
-    from uavnav.runs.evaluations import Protocol
 
 DEFAULT, TUNED = "vectorised", "fast"
 """The presets of the study; a task's name says the second."""
@@ -110,12 +108,6 @@ def _of_scripted(
     from uavnav.tasks import ladders, layouts
 
     left_out: list[str] = []
-
-    def flown_as(protocol: Protocol) -> dict[str, pd.DataFrame]:
-        rows, unread = rows_of_scripted(folders, protocol)
-        left_out.extend(unread)
-        return rows
-
     scripted: dict[tuple[str, str], pd.DataFrame] = {}
     rungs = {}
     for name in names:
@@ -124,7 +116,8 @@ def _of_scripted(
                 f"{name}: no rows of scripted policies, which fly only with the usual settings of a task"
             )
             continue
-        rows = flown_as(protocol)
+        rows, unread = rows_of_scripted(folders, protocol)
+        left_out += unread
         scripted |= {(name, who): measured(own, protocol.max_steps) for who, own in rows.items()}
     if (protocol := places.get("drone")) is not None:
         there = {
@@ -132,7 +125,8 @@ def _of_scripted(
         }
         for rung in ((name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs):
             if at("reward", *rung) in there:
-                rows = flown_as(protocol._replace(layouts=ladders.split_of(*rung)))
+                rows, unread = rows_of_scripted(folders, protocol._replace(layouts=ladders.split_of(*rung)))
+                left_out += unread
                 rungs[rung] = {who: on_rung(own) for who, own in rows.items()}
     return scripted, rungs, left_out
 
@@ -146,7 +140,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
     Raises a RunError where its task is not known, or it was not evaluated as in the study.
     """
-    from uavnav.evaluation import Protocol, rows_across  # these know the tasks, and so load torch
+    from uavnav.evaluation import rows_across  # these know the tasks, and so load torch
     from uavnav.evaluation.scripted import protocol_in
     from uavnav.evaluation.transfer import named, trained_in
     from uavnav.tasks.ladders import LADDERS

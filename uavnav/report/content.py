@@ -71,7 +71,6 @@ class Content:
     replays: dict[str, Any] | None
     baselines: dict[str, pd.DataFrame]
     left_out: list[str]
-    worlds: Worlds | None  # the study of that name, where there is one
 
     @property
     def missing(self) -> list[str]:
@@ -156,10 +155,10 @@ def gather(
             for column, one in COLUMNS.items()
         ]
         of_worlds, of_studies, unread_apart = elsewhere()
+        left_out += unread_apart
         if of_worlds:
             of_tasks = worlds.Evidence(of_worlds.seeds)
             asks += [(column, of_tasks, studies.of_paper, DISCUSSION) for column in (FINAL, OTHER)]
-            left_out += of_worlds.left_out
         audits: dict[str, list[Finding]] = {column: [] for column in COLUMNS}
         errs = []
         for column, ours, printed, claims in asks:
@@ -197,19 +196,16 @@ def gather(
             "by_default": frames.by_default(dealt, winners),
             "fits": frames.fits(predictions, evidence),
             "peaks": frames.peaks(of_paper, evidence),
+            "verdicts": frames.verdicts(audits),
+            "grades": frames.grades(audits),
+            "operating": joined(errs),
             **tuned,
+            **of_studies,
         }
         if dealt.tuned:
             numbers["fast"] = frames.gaps(dealt.tuned, baselines)
         if len(carried):
             numbers |= {"carried": carried, "further": frames.gaps(studies.further(dealt), baselines)}
-        if of_worlds:
-            places = worlds.summary(of_worlds)
-            numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
-        left_out += unread_apart
-        numbers |= of_studies
-        numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
-        numbers["operating"] = joined(errs)
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
         tell("flying episodes for the replays")
@@ -222,7 +218,6 @@ def gather(
         flown if flown["configurations"] else None,
         baselines,
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
-        of_worlds,
     )
 
 
@@ -237,7 +232,11 @@ def _apart(folders: Sequence[Path]) -> tuple[Worlds | None, dict[str, pd.DataFra
     for tables_of, unread in (one.gather(folders) for one in (ambiguities, activations, learned)):
         numbers |= tables_of
         left_out += unread
-    return worlds.gather(folders), numbers, left_out
+    if of_worlds := worlds.gather(folders):
+        places = worlds.summary(of_worlds)
+        numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
+        left_out = [*of_worlds.left_out, *left_out]
+    return of_worlds, numbers, left_out
 
 
 def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, list[str]]:

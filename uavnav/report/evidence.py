@@ -27,7 +27,7 @@ class Row(NamedTuple):
 def rows(content: Content) -> list[Row]:
     """A row a claim; 12 to 16 where a folder has that study."""
     grades, verdicts, found = content.tables["grades"], content.tables["verdicts"], []
-    for claim in EVERY if content.worlds else CLAIMS:
+    for claim in EVERY if "places" in content.tables else CLAIMS:
         graded, parts, own = dict.fromkeys(COLUMNS, tables.NOTHING), {}, OPEN
         judged = verdicts[verdicts["claim"] == claim.number]
         for place, one in grades[grades["claim"] == claim.number].to_dict("index").items():

@@ -233,7 +233,7 @@ def curves(
     if not any(len(one.episodes) for one in configurations.values()):
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
-    colours, ends = {}, []
+    ends = []
     looks = looks or style.of_activations(configurations)
     for name, configuration in configurations.items():
         line, (colour, dashes) = band(configuration.curve), looks[name]
@@ -243,7 +243,6 @@ def curves(
         if name in printed:
             axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
         beside = f"the paper's mean {style.number(printed[name])}" if name in printed else ""
-        colours[name] = colour
         end = Interval(*line.iloc[-1]) if len(line) else Interval(np.nan, np.nan, np.nan, 0)
         ends.append(f"{name} {style.said(end._replace(n=int(end.n)), beside)}")
     if np.isfinite(scripted):
@@ -251,19 +250,22 @@ def curves(
     style.keep_lines_legible(axes)
     axes.set_ylabel(metric)
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
-    _name_dashes(axes, printed, colours)
+    _name_dashes(axes, printed, looks)
     axes.set_xlabel("frames per seed")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(6 if width >= style.WIDTH else 3))
     several = any(one.n_seeds > 1 for one in configurations.values())
-    shade = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
-    handles = [shade] * several
-    handles += [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")] * bool(printed)
-    style.legend(figure, [*axes.get_legend_handles_labels()[0], *handles], 3)
+    handles = [
+        *axes.get_legend_handles_labels()[0],
+        *[Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")]
+        * several,
+        *[Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")] * bool(printed),
+    ]
+    style.legend(figure, handles, 3)
     return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
 
 
-def _name_dashes(axes: Axes, printed: Mapping[str, float], colours: Mapping[str, str]) -> None:
+def _name_dashes(axes: Axes, printed: Mapping[str, float], looks: Mapping[str, tuple[str, str]]) -> None:
     """The paper's means at the right end of their lines, in their colours, none over another."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high)
@@ -277,13 +279,13 @@ def _name_dashes(axes: Axes, printed: Mapping[str, float], colours: Mapping[str,
             (1.06, place),
             xycoords=axes.get_yaxis_transform(),
             textcoords="axes fraction",
-            color=colours[name],
+            color=looks[name][0],
             fontsize=11,
             va="center",
             annotation_clip=False,
             arrowprops={
                 "arrowstyle": "-",
-                "color": colours[name],
+                "color": looks[name][0],
                 "linewidth": 0.8,
                 "shrinkA": 1,
                 "shrinkB": 0,

@@ -62,9 +62,9 @@ SECTIONS = {
     "rows": "Rows",
 }
 """By their ids; a report has those of further studies where there are some."""
-FURTHER = {one.STUDY: one.STUDY for one in (longer, noise, activations, horizon, learned)}
-FURTHER |= {"ambiguities": ambiguities.DRAWS}
-"""Sections of further studies, and a table that each needs."""
+FURTHER = {one.STUDY: {one.STUDY} for one in (longer, noise, activations, horizon, learned)}
+FURTHER |= {"ambiguities": {ambiguities.DRAWS}}
+"""Sections of further studies, and the tables of which each needs one."""
 TITLE = "DQN against PPO, four activation functions: what replicates of the paper"
 """Of a report on other runs than the study's."""
 PREVIEWED = 240
@@ -114,8 +114,9 @@ def contents(
     if episodes := first_episodes(content):
         drones = paths(episodes, PREVIEWED)
         firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
-        ends = {name: one["ended"] for name, one in firsts.items() if one["steps"] <= PREVIEWED}
-        collided = {name for name, ended in ends.items() if ended == "collision"}
+        collided = {
+            name for name, one in firsts.items() if one["steps"] <= PREVIEWED and one["ended"] == "collision"
+        }
         title, obstacles = plain(content.said["headline"] or TITLE), np.array(episodes["layouts"][0])
         found["preview.png"] = png(arena.preview(title, drones, collided, obstacles, World()))
     found["report.html"] = page(content, pictures(shown), first, own, watched).encode()
@@ -175,9 +176,8 @@ def page(
 
 def sections(content: Content) -> list[tuple[str, str]]:
     """The ids and titles of the page's sections, in order; of further studies only where there are some."""
-    there = {"algorithms": bool({"tuning", "carried"} & {*content.tables}), "worlds": bool(content.worlds)}
-    there |= {name: study in content.tables for name, study in FURTHER.items()}
-    return [(id_, title) for id_, title in SECTIONS.items() if there.get(id_, True)]
+    needed = {"algorithms": {"tuning", "carried"}, "worlds": {"places"}} | FURTHER
+    return [one for one in SECTIONS.items() if one[0] not in needed or needed[one[0]] & content.tables.keys()]
 
 
 def first_episodes(content: Content) -> dict[str, Any] | None:

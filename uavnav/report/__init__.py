@@ -29,12 +29,10 @@ def places(folders: Sequence[str | Path], out: str | Path | None) -> tuple[list[
 
     `results` is committed, so that a report on it that nobody asked to renew goes to `report`.
     """
-    if folders:
-        found = [Path(folder) for folder in folders]
-        return found, found[0] if out is None else Path(out)
     committed = Path(RESULTS).is_dir() and not Path(RUNS).is_dir()
-    usual = Path(OUT if committed else RUNS)
-    return [Path(RESULTS if committed else RUNS)], usual if out is None else Path(out)
+    read = [Path(folder) for folder in folders or [RESULTS if committed else RUNS]]
+    usual = OUT if committed and not folders else read[0]
+    return read, Path(usual if out is None else out)
 
 
 def report(

@@ -51,9 +51,7 @@ class Quotes:
         decimals, where two significant digits of the interval are not wanted.
         """
         table = self.table(name)
-        chosen = pd.Series(True, index=table.index)
-        for key, value in where.items():
-            chosen &= table[key] == value
+        chosen = (table[[*where]] == pd.Series(where)).all(axis=1)
         if chosen.sum() != 1:
             raise Untrue(f"{name} has {chosen.sum()} rows of {where}")
         place = int(chosen.to_numpy().argmax())

@@ -189,11 +189,12 @@ def survival(
         if part.empty:
             continue
         curves[label] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
-        means = [
-            stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), MAX_STEPS)
-            for _, one in part.groupby("seed")
-        ]
-        mean = stats.interval(means)
+        mean = stats.interval(
+            [
+                stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), MAX_STEPS)
+                for _, one in part.groupby("seed")
+            ]
+        )
         rows.append([label, mean.n, len(part), part["truncated"].mean(), *mean[:3]])
     columns = ["configuration", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
     return curves, pd.DataFrame(rows, columns=columns)
@@ -254,10 +255,11 @@ def sensitivity(studies: Studies) -> Rows:
     other side of zero than as decided; `sign` if only the estimate does.
     """
     decided: dict[str, stats.Interval] = {}
-    of_each = dict.fromkeys([*claims.COMPARED, *algorithms(studies.baseline)])
-    between = " above ".join(map(str.upper, claims.COMPARED))
-    conclusions: dict[str, tuple[str, ...]] = {between: claims.COMPARED}
-    conclusions |= {f"{one.upper()}: tanh above ReLU": (one,) for one in of_each}
+    conclusions: dict[str, tuple[str, ...]] = {
+        " above ".join(map(str.upper, claims.COMPARED)): claims.COMPARED
+    }
+    for one in (*claims.COMPARED, *algorithms(studies.baseline)):
+        conclusions[f"{one.upper()}: tanh above ReLU"] = (one,)
     for switch, own in {AS_DECIDED: studies.baseline, **studies.switches}.items():
         there = studies.baseline | own
         for conclusion, which in conclusions.items():
@@ -338,8 +340,8 @@ def by_default(studies: Studies, winners: Configurations) -> Rows:
     The first two rows are of the activations that both algorithms have with the preset `fast`. winners: of
     trials; a row each for them, and for the lead with the preset minus theirs.
     """
-    both = [{one for which, one in studies.tuned if which == name} for name in claims.COMPARED]
-    shared = [one for which, one in studies.tuned if which == claims.COMPARED[0] and one in both[1]]
+    first, second = claims.COMPARED
+    shared = [one for which, one in studies.tuned if which == first and (second, one) in studies.tuned]
     words = ", ".join(shared)
 
     def flown(found: Configurations, activations: Sequence[str]) -> list[stats.Array]:
@@ -482,9 +484,9 @@ def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -
         reward = stats.difference([by_seed["reward"].mean().to_numpy()])
         per_frame = (by_seed["reward"].sum() / by_seed["steps"].sum()).mean()
         own = np.empty(0) if who == REACTIVE else gap_to(ended, of_reactive)
-        gap = stats.difference([own])[:3], float((own > 0).mean()) if len(own) else np.nan
+        above = float((own > 0).mean()) if len(own) else np.nan
         facts = _limit(ended), reward.n, len(ended), ended["truncated"].mean()
-        yield [who, algorithm, mode, *facts, *reward[:3], per_frame, *gap[0], gap[1]]
+        yield [who, algorithm, mode, *facts, *reward[:3], per_frame, *stats.difference([own])[:3], above]
 
 
 def _limit(episodes: pd.DataFrame) -> float:
@@ -537,9 +539,15 @@ def speed(configurations: Configurations) -> Rows:
 @columns("study", "algorithm", "activation", "seeds", "frames", "n_envs")
 def sizes(studies: Studies) -> Rows:
     """How large each study is; frames and environments are a seed's."""
-    named = {"main": paper_configurations(studies.main), VECTORISED: studies.vectorised}
-    named |= {"baseline": studies.baseline, "initial": studies.initial, **studies.switches}
-    for study, found in {**named, "tuned": studies.tuned}.items():
+    named = {
+        "main": paper_configurations(studies.main),
+        VECTORISED: studies.vectorised,
+        "baseline": studies.baseline,
+        "initial": studies.initial,
+        **studies.switches,
+        "tuned": studies.tuned,
+    }
+    for study, found in named.items():
         for key, one in found.items():
             yield [study, *key, one.n_seeds, one.settings["frames"], one.settings["n_envs"]]
 

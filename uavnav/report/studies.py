@@ -56,9 +56,13 @@ class Studies(NamedTuple):
 
     def of(self, name: str) -> Configurations:
         """One of those that claims and questions ask, by its name; none where there is no such."""
-        many = self.vectorised or self.main
-        named = {"main": self.main, "vectorised": many, "baseline": self.baseline, "initial": self.initial}
-        named |= {FAST: self.tuned}
+        named = {
+            "main": self.main,
+            "vectorised": self.vectorised or self.main,
+            "baseline": self.baseline,
+            "initial": self.initial,
+            FAST: self.tuned,
+        }
         return named.get(name) or self.why.get(name, {})
 
 

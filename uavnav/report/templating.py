@@ -153,8 +153,16 @@ TEMPLATES = jinja2.Environment(
     undefined=jinja2.StrictUndefined,
     autoescape=jinja2.select_autoescape(),
 )
-TEMPLATES.filters |= {"cell": cell, "inline": inline, "plain": plain, "listed": listed, "played": played}
-TEMPLATES.filters |= {"of_words": tables.of_words, "markdown": tables.markdown, "json": browser.as_json}
+TEMPLATES.filters |= {
+    "cell": cell,
+    "inline": inline,
+    "plain": plain,
+    "listed": listed,
+    "played": played,
+    "of_words": tables.of_words,
+    "markdown": tables.markdown,
+    "json": browser.as_json,
+}
 STYLES = (HERE / "page.css", *browser.STYLES, browser.HERE / "first.css")
 PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
 """Scripts of the player, in the order in which a browser reads them."""

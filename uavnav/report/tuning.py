@@ -55,9 +55,12 @@ def read(
             own, lines = [], [str(error)]
         configurations[which] |= {(one.algorithm, one.activation): one for one in own}
         left_out += lines
-    compared = _compared(configurations, baselines, algorithms)
-    tables = {"tuning": compared, "tuning_pairs": _pairs(configurations, algorithms)}
-    tables |= {"tuning_trials": tried, "tuning_importance": importance}
+    tables = {
+        "tuning": _compared(configurations, baselines, algorithms),
+        "tuning_pairs": _pairs(configurations, algorithms),
+        "tuning_trials": tried,
+        "tuning_importance": importance,
+    }
     return tables, configurations[TUNED], left_out
 
 

@@ -285,9 +285,9 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
         "",
         *_short(rows[0][1:]),
         title=f"Means and 95 % intervals over seeds, sampled; {flown(contenders)}",
+        title_justify="left",
         box=None,
     )
-    table.title_justify = "left"
     for row in rows[1:]:
         table.add_row(*row)
     console.print(table)
@@ -323,11 +323,13 @@ def page(contenders: Sequence[Contender]) -> bytes:
         for name, one in learned.items()
     ]
     recorded = replays.record(shown, n_seeds=1)
-    args = survival(contenders), contenders[0].protocol["max_steps"]
-    figures = [templating.sized("survival", "", "", charts.survival, *args, looks=looks)]
+    limit = contenders[0].protocol["max_steps"]
+    figures = [
+        templating.sized("survival", "", "", charts.survival, survival(contenders), limit, looks=looks)
+    ]
     if learned:
         figures.append(templating.sized("curves", "", "", charts.curves, learned, {}, looks=looks))
-    page = templating.page(
+    return templating.page(
         "compare.html",
         {},
         names=[one.name for one in contenders],
@@ -345,5 +347,4 @@ def page(contenders: Sequence[Contender]) -> bytes:
         pictures=templating.pictures(figures),
         recorded=recorded if recorded["configurations"] else None,
         left_out=recorded["left_out"],
-    )
-    return page.encode()
+    ).encode()

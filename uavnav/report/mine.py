@@ -215,15 +215,15 @@ def _group(
     learned, task = compare.trainings(members), str(members[0].place["task"])
     figures = []
     if rows:
-        args = rows, looks, reward, "reward of a test episode"
+        name, axis = f"ranking-{place + 1}", "reward of a test episode"
         words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
-        figures.append(sized(f"ranking-{place + 1}", "runs", words, charts.episodes, *args))
+        figures.append(sized(name, "runs", words, charts.episodes, rows, looks, reward, axis))
     if any(len(one.episodes) for one in learned.values()):
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
-        name, draw = f"curves-{place + 1}", charts.curves
-        figures.append(sized(name, "runs", words, draw, learned, {}, looks=looks, scripted=earned))
+        name = f"curves-{place + 1}"
+        figures.append(sized(name, "runs", words, charts.curves, learned, {}, looks=looks, scripted=earned))
     how = compare.flown(ordered) if flown else "no test episodes yet"
     return Group(
         replays.TITLES.get(task, task).capitalize(),

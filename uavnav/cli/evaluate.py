@@ -25,13 +25,15 @@ from uavnav.tasks.table import TASKS, name_of
 from uavnav.tasks.task import Task
 
 MOST_SEEDS = 1_000  # of a scripted policy
+USUAL = {"task": "drone", "seeds": 1, "layouts": "test", "alone": False, "shield": False, "measures": False}
+"""Options that are always there, and their values where they are not given."""
 OF_ONE_SPLIT = {
-    "faults": (None, "ladders and tasks of training have their own"),
-    "shield": (False, "only on the layouts of one split"),
-    "measures": (False, "only on the layouts of one split"),
-    "layouts": ("test", "--across and --transfer fly on test layouts of their own"),
+    "faults": "ladders and tasks of training have their own",
+    "shield": "only on the layouts of one split",
+    "measures": "only on the layouts of one split",
+    "layouts": "--across and --transfer fly on test layouts of their own",
 }
-"""Options that go neither with --across nor with --transfer: the default, and why."""
+"""Options that go neither with --across nor with --transfer, and why."""
 
 
 def _found(name: str, arguments: Namespace) -> Run | Flyer:
@@ -47,27 +49,24 @@ def _found(name: str, arguments: Namespace) -> Run | Flyer:
 
 def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
     """Raise a ConfigError for options that do not go with what is named or with each other."""
-    if arguments.task != "drone" and not BASELINES.keys() & found.keys():
-        raise ConfigError(f"--task {arguments.task}: what was trained flies in its own task; leave it out")
-    elsewhere = arguments.across is not None or arguments.transfer
-    if arguments.seeds != 1:
-        given = f"--seeds {arguments.seeds}"
-        if not 1 <= arguments.seeds <= MOST_SEEDS:
-            raise ConfigError(f"{given}; give at least 1 and at most {MOST_SEEDS:,}")
-        if DRAWS not in arguments.runs or elsewhere:
-            raise ConfigError(f"{given}: only {DRAWS} has several, on the layouts of one split; leave it out")
-    if arguments.alone and arguments.across is None:
-        raise ConfigError("--alone: only --across adds scripted policies; leave it out")
-    if arguments.at is not None and (elsewhere or not all(isinstance(one, Run) for one in found.values())):
-        raise ConfigError(f"--at {arguments.at:g}: only runs keep policies, for one split; leave it out")
-    if arguments.out is not None and not elsewhere and all(isinstance(one, Run) for one in found.values()):
-        raise ConfigError(f"--out {arguments.out}: the rows of a run are kept in its folder; leave it out")
-    for name, (usual, why) in OF_ONE_SPLIT.items():
-        if elsewhere and (given := getattr(arguments, name)) != usual:
-            raise ConfigError(f"{' '.join(options({name: given}))}: {why}; leave it out")
-    if arguments.transfer and arguments.task != "drone":
-        told = "--transfer flies in the tasks of the runs"
-        raise ConfigError(f"--task {arguments.task}: {told}; leave it out")
+    if not 1 <= arguments.seeds <= MOST_SEEDS:
+        raise ConfigError(f"--seeds {arguments.seeds}; give at least 1 and at most {MOST_SEEDS:,}")
+    of_one_split = arguments.across is None and not arguments.transfer
+    only_runs = all(isinstance(one, Run) for one in found.values())
+    several = f"only {DRAWS} has several, on the layouts of one split"
+    for name, goes, why in (
+        ("task", BASELINES.keys() & found.keys(), "what was trained flies in its own task"),
+        ("seeds", of_one_split and DRAWS in arguments.runs, several),
+        ("alone", arguments.across is not None, "only --across adds scripted policies"),
+        ("at", only_runs and of_one_split, "only runs keep policies, for one split"),
+        ("out", not (only_runs and of_one_split), "the rows of a run are kept in its folder"),
+        *((name, of_one_split, why) for name, why in OF_ONE_SPLIT.items()),
+        ("task", not arguments.transfer, "--transfer flies in the tasks of the runs"),
+    ):
+        given = getattr(arguments, name)
+        if given != USUAL.get(name) and not goes:
+            words = options({name: f"{given:g}" if isinstance(given, float) else given})
+            raise ConfigError(f"{' '.join(words)}: {why}; leave it out")
 
 
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:

@@ -93,25 +93,27 @@ def load_pilots(
         PolicyError: no such run or seed, or an activation and no .zip.
         ValueError: there is no such task, one beside a run, or the runs fly layouts of several.
     """
-    zips, pilots = policies.zips(words, activation), []
-    scripted = task_of(task)
-    for word in words:
-        if word in BASELINES:
-            pilots.append(Pilot(word, BASELINES[word], scripted))
-        else:
-            policy = policies.load_policy(word, seed, greedy, activation if word in zips else None)
-            name = word if is_shipped(word) else "/".join(Path(word).resolve().parts[-2:])
-            pilots.append(Pilot(name, policy, policy.task, policy.seed))
-    of_runs = [pilot.task for pilot in pilots if pilot.task is not scripted]
-    if of_runs and task != "drone":
+    zips, scripted = policies.zips(words, activation), task_of(task)
+    trained = {
+        word: policies.load_policy(word, seed, greedy, activation if word in zips else None)
+        for word in words
+        if word not in BASELINES
+    }
+    if trained and task != "drone":
         raise ValueError(f"--task {task}: what was trained flies in its own task; leave it out")
-    if len(kinds := {splits.kind_of(one.world) for one in of_runs}) > 1:
+    if len(kinds := {splits.kind_of(one.world) for one in trained.values()}) > 1:
         raise ValueError(
             f"runs of task={' and task='.join(sorted(kinds))} have no layout in common; give those of one"
         )
-    beside = {scripted: of_runs[0] if of_runs else scripted}
-    placed = [one._replace(task=beside.get(one.task, one.task)) for one in pilots]
-    return [one._replace(policy=suited(one.policy, one.task)) for one in placed]
+    beside = next((one.task for one in trained.values()), scripted)
+    pilots = []
+    for word in words:
+        if word in BASELINES:
+            pilots.append(Pilot(word, suited(BASELINES[word], beside), beside))
+        else:
+            name = word if is_shipped(word) else "/".join(Path(word).resolve().parts[-2:])
+            pilots.append(Pilot(name, trained[word], trained[word].task, trained[word].seed))
+    return pilots
 
 
 def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:

@@ -193,19 +193,27 @@ def test_greedy_episodes_with_a_memory_are_flown_and_not_counted():
         assert not evaluation._repeatable(policy, make_task(EMPTY, **how))
 
 
-def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
+def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch(monkeypatch):
     tasks = [
         make_task(EMPTY),
         make_task(EMPTY, stack=2),
         make_task(EMPTY, faults={"noise": 1.0}),
         make_task(EMPTY),
     ]
-    assert episodes.alike([untrained(task) for task in tasks]) == [[0, 3], [1], [2]]
+    batches = []
+
+    def note(flyers, task):
+        batches.append([flyer.seed for flyer in flyers])
+        return [[]] * len(flyers)
+
+    monkeypatch.setattr(replays, "_fly_together", note)
+    replays.fly([replays.Flyer(seed, untrained(task), task, [0]) for seed, task in enumerate(tasks)], 12)
+    assert batches == [[0, 3], [1], [2]]
 
 
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
     own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
-    ((episode,),) = replays.fly([replays.Flyer(0, untrained(own), [0])], "test", 12)
+    ((episode,),) = replays.fly([replays.Flyer(0, untrained(own), own, [0])], 12)
     shown = unpack(episode, replays._constants(own.world)["fields"])
     assert all(shown[name].shape == (episode["steps"] + 1, 10) for name in ("right", "forward", "proximity"))
 

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from uavnav import graph
 from uavnav.evaluation.agents import Policies, Seeded
-from uavnav.runs.policies import Policy
 from uavnav.tasks.seeding import Streams, stream
 from uavnav.tasks.state import UP, State, at
 from uavnav.tasks.task import Outcome
@@ -117,13 +116,6 @@ def steps(
                 state, observation = at(state, place), observation[place]
                 place = torch.arange(len(place))
                 state = _padded(state, CHUNK) if compiled else state
-
-
-def alike(policies: Sequence[Policy]) -> list[list[int]]:
-    """Which policies can share a batch: their tasks differ only in layouts and time limit."""
-    tasks = [policy.task for policy in policies]
-    keys = [(type(task.task), task.world, task.reward, task.stack, task.faults) for task in tasks]
-    return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
 
 
 def _advance(

@@ -107,23 +107,20 @@ def record(
         split = layouts.judged_on(configuration.runs[0].config.get("layouts", "train"))
         ready += [(configuration, split, population)] if population else []
     usual = range(n_layouts)
-    flown = {}
+    flyers = [
+        Flyer(seed, policy, policy.task, configuration.layouts or usual, split)
+        for configuration, split, population in ready
+        for seed, policy in population.items()
+    ]
     with machine.use_threads(1):
-        for split in dict.fromkeys(split for _, split, _ in ready):
-            flyers = [
-                Flyer(seed, policy, configuration.layouts or usual)
-                for configuration, own, population in ready
-                if own == split
-                for seed, policy in population.items()
-            ]
-            flown[split] = iter(fly(flyers, split, max_steps))
+        flown = iter(fly(flyers, max_steps))
         task = WrappedTask(Task(world, all_layouts[:n_layouts], max_steps=max_steps))
-        (scripted,) = _fly_together([Flyer(0, reactive, usual)], task)
+        (scripted,) = _fly_together([Flyer(0, reactive, task, usual)], task)
     shown = []
     for configuration, split, population in ready:
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
         name |= {"accent": configuration.colour} if configuration.colour else {}
-        own = [episode for _ in population for episode in next(flown[split])]
+        own = [episode for _ in population for episode in next(flown)]
         where = _place(next(iter(population.values())).task, split, configuration.layouts or usual)
         words = [f"{configuration.algorithm.upper()} {configuration.label}", "sampled"]
         name["name"] = ", ".join([*words, *(one["title"] for one in where.values())])
@@ -147,17 +144,12 @@ def _sparse(rows: Sequence[Any], shown: Sequence[int]) -> list[Any]:
 def _constants(world: World | SpaceWorld) -> dict[str, Any]:
     """The constants of a world, what each action does there, and the fields of an episode's bytes."""
     fields = IN_3D if isinstance(world, SpaceWorld) else FIELDS
-    columns = _columns(world)
+    slots = dict.fromkeys(("right", "up", "forward", "proximity"), world.n_slots)
+    columns = {"value": world.n_actions} | slots
     told = [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in fields.items()]
     actions = browser.actions(world)
     shown = {"actions": actions, "values": browser.picture(actions)}
     return {"world": world.model_dump(), "fields": told} | shown
-
-
-def _columns(world: World) -> dict[str, int]:
-    """Of the fields that have more than one: how many."""
-    slots = dict.fromkeys(("right", "up", "forward", "proximity"), world.n_slots)
-    return {"value": world.n_actions} | slots
 
 
 def together(recorded: dict[str, Any], configurations: Mapping[str, str], scripted: str) -> dict[str, Any]:
@@ -177,13 +169,15 @@ def together(recorded: dict[str, Any], configurations: Mapping[str, str], script
         for name, episodes in flown.items()
     }
     learned = [own for name, own in firsts.items() if name != scripted]
+    fields = [field for field in recorded["fields"] if not field["chosen"]]
     order = sorted(range(len(recorded["layouts"])), key=lambda at: sum(own[at]["steps"] for own in learned))
     return {
         "world": recorded["world"],
         "layouts": [recorded["layouts"][at] for at in order],
-        "fields": [field for field in recorded["fields"] if not field["chosen"]],
+        "fields": fields,
         "drones": [
-            {"name": name, "episodes": [_poses(own[at]) for at in order]} for name, own in firsts.items()
+            {"name": name, "episodes": [_poses(own[at], fields) for at in order]}
+            for name, own in firsts.items()
         ],
     }
 
@@ -200,11 +194,9 @@ def paths(together: dict[str, Any], steps: int) -> dict[str, Array]:
     return found
 
 
-def _poses(episode: dict[str, Any]) -> dict[str, Any]:
-    """A packed episode without its choices, whose bytes are the last."""
-    kept = {name: np.dtype(one.type).itemsize for name, one in FIELDS.items() if not one.chosen}
-    columns = _columns(World())
-    size = sum(each * columns.get(name, 1) for name, each in kept.items())
+def _poses(episode: dict[str, Any], fields: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """A packed episode with these fields, without its choices, whose bytes are the last."""
+    size = sum(np.dtype(one["type"]).itemsize * one["columns"] for one in fields)
     content = zlib.decompress(base64.b64decode(episode["bytes"]))[: size * (episode["steps"] + 1)]
     return episode | {"bytes": base64.b64encode(zlib.compress(content, 9)).decode()}
 
@@ -257,23 +249,28 @@ def _place(task: WrappedTask, split: str, chosen: Sequence[int]) -> dict[str, An
 
 
 class Flyer(NamedTuple):
-    """A policy with its seed, and the layouts of its split on which it is shown."""
+    """A policy with its seed and its task, and the layouts of a split on which it is shown."""
 
     seed: int
     policy: AnyPolicy
+    task: WrappedTask
     layouts: Sequence[int]
+    split: str = "test"
 
 
-def fly(flyers: Sequence[Flyer], split: str, max_steps: int) -> list[list[dict[str, Any]]]:
-    """The shown episodes of each policy in its own task, on the layouts there of a test split or a rung's.
+def fly(flyers: Sequence[Flyer], max_steps: int) -> list[list[dict[str, Any]]]:
+    """The shown episodes of each policy in its own task, on the layouts there of its split.
 
-    All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others.
+    All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others. Policies
+    share a batch where their tasks differ only in layouts and time limit.
     """
+    batches: dict[tuple[Any, ...], list[int]] = {}
+    for place, (_, _, task, _, split) in enumerate(flyers):
+        key = split, type(task.task), task.world, task.reward, task.stack, task.faults
+        batches.setdefault(key, []).append(place)
     found: list[list[dict[str, Any]]] = [[] for _ in flyers]
-    policies = [flyer.policy for flyer in flyers if isinstance(flyer.policy, Policy)]
-    for places in episodes.alike(policies):
-        together = [flyers[place] for place in places]
-        own_task = policies[places[0]].task
+    for (split, *_), places in batches.items():
+        together, own_task = [flyers[place] for place in places], flyers[places[0]].task
         task = own_task.on(_layouts(own_task, split), max_steps)
         for place, own in zip(places, _fly_together(together, task), strict=True):
             found[place] = own

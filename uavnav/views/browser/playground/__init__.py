@@ -120,34 +120,33 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
         PolicyError: a run that is named has no policy, or one that the page cannot fly; or none is left.
     """
     zips = policies.zips([str(word) for word in words], activation)
-    named: dict[str, str] = {}  # what was named -> the key of its policy
-    runs: dict[str, bool] = {}  # path -> whether it was named itself
+    named: list[str] = []  # runs and scripted policies that were named themselves
+    runs: list[str] = []
     folders = []
     for word in map(str, words):
         if word in SCRIPTED:
-            named[word] = word
+            named.append(word)
         elif word in BASELINES:
             _refuse(word, f"the playground has no such scripted policy; it has {', '.join(SCRIPTED)}")
         elif Path(word) == shipped.FOLDER:
-            runs |= dict.fromkeys(shipped.shipped(), False)
+            runs += shipped.shipped()
         elif os.path.isdir(word) and not os.path.isfile(Path(word) / POLICY) and not is_zip(word):
             folders.append(Path(word))
         else:
-            runs[word] = True
-            named[word] = ""
-    for path in map(str, runs_in(*folders)):
-        runs.setdefault(path, False)
+            runs.append(word)
+            named.append(word)
+    every = dict.fromkeys([*runs, *map(str, runs_in(*folders))])
     kept: dict[str, list[Policy]] = {}
     left_out = []
-    for path, alone in runs.items():
+    for path in every:
         try:
-            own = _policies(path, seed, activation if path in zips else None, MOST // len(runs))
+            own = _policies(path, seed, activation if path in zips else None, MOST // len(every))
             kept[path] = [_checked(path, policy) for policy in own]
         except PolicyError as error:
-            if alone:
+            if path in named:
                 raise
             left_out.append(str(error))
-    if not kept and any(str(word) not in BASELINES for word in words):
+    if not kept and (every or folders):
         where = ", ".join(map(str, words))
         raise PolicyError(
             left_out[0] if left_out else f"{where}: no policy there; give a finished run's folder"
@@ -162,7 +161,7 @@ def collect(words: Sequence[str | Path], seed: int | None = None, activation: st
         while one["key"] in taken:  # `a/b` and `a-b` are one name in a link
             one["key"] += "_"
         taken.add(one["key"])
-    keys = [key or packed[word][0]["key"] for word, key in named.items()]
+    keys = [word if word in SCRIPTED else packed[word][0]["key"] for word in dict.fromkeys(named)]
     tasks = {name_of(own[0].task): own[0].world for own in reversed(kept.values())}
     return Flyers(found, keys, tasks, left_out)
 
@@ -364,8 +363,8 @@ def _placed(task: str, layouts: Tensor) -> list[dict[str, Any]]:
 
 def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
     """The scene of a page opened without a link: you and who was named, or two runs and `reactive`."""
-    named = [one for one in flyers.policies if one["key"] in flyers.named]
-    first = min(named, key=lambda one: flyers.named.index(one["key"]), default=None)
+    by_key = {one["key"]: one for one in flyers.policies}
+    first = next((by_key[key] for key in flyers.named if key in by_key), None)
     tasks = [one["task"] for one in ([first] if first else flyers.policies)]
     task = opening.task if opening.task in tasks or opening.task != "drone" else next(iter(tasks), "drone")
     pilots = flyers.named or [*_two(flyers.policies, task), "reactive"]

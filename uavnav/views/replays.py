@@ -82,6 +82,8 @@ IN_3D = FIELDS | {
     "up": Field("int8", 1 / 127),  # of the ten slots
 }
 """Of an episode in 3D."""
+SLOT = ("right", "up", "forward", "proximity")
+"""The fields of a slot, in the order of an observation; `up` in 3D."""
 Columns = dict[str, Tensor]
 
 
@@ -118,14 +120,20 @@ def record(
         (scripted,) = _fly_together([Flyer(0, reactive, task, usual)], task)
     shown = []
     for configuration, split, population in ready:
-        name = {"algorithm": configuration.algorithm, "label": configuration.label}
-        name |= {"accent": configuration.colour} if configuration.colour else {}
-        own = [episode for _ in population for episode in next(flown)]
+        algorithm, label = configuration.algorithm, configuration.label
         where = _place(next(iter(population.values())).task, split, configuration.layouts or usual)
-        words = [f"{configuration.algorithm.upper()} {configuration.label}", "sampled"]
-        name["name"] = ", ".join([*words, *(one["title"] for one in where.values())])
-        values = ALGORITHMS[configuration.algorithm].shown
-        shown.append(name | where | {"values": values, "episodes": own})
+        titles = [f"{algorithm.upper()} {label}", "sampled", *(one["title"] for one in where.values())]
+        shown.append(
+            {
+                "algorithm": algorithm,
+                "label": label,
+                **({"accent": configuration.colour} if configuration.colour else {}),
+                "name": ", ".join(titles),
+                **where,
+                "values": ALGORITHMS[algorithm].shown,
+                "episodes": [episode for _ in population for episode in next(flown)],
+            }
+        )
     places = [*usual, *(place for one in configurations for place in one.layouts)]
     return {
         **_constants(world),
@@ -143,13 +151,18 @@ def _sparse(rows: Sequence[Any], shown: Sequence[int]) -> list[Any]:
 
 def _constants(world: World | SpaceWorld) -> dict[str, Any]:
     """The constants of a world, what each action does there, and the fields of an episode's bytes."""
-    fields = IN_3D if isinstance(world, SpaceWorld) else FIELDS
-    slots = dict.fromkeys(("right", "up", "forward", "proximity"), world.n_slots)
-    columns = {"value": world.n_actions} | slots
-    told = [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in fields.items()]
+    columns = {"value": world.n_actions} | dict.fromkeys(SLOT, world.n_slots)
+    told = [
+        {"name": name, "columns": columns.get(name, 1), **one._asdict()}
+        for name, one in _fields(world).items()
+    ]
     actions = browser.actions(world)
     shown = {"actions": actions, "values": browser.picture(actions)}
     return {"world": world.model_dump(), "fields": told} | shown
+
+
+def _fields(world: World) -> dict[str, Field]:
+    return IN_3D if isinstance(world, SpaceWorld) else FIELDS
 
 
 def together(recorded: dict[str, Any], configurations: Mapping[str, str], scripted: str) -> dict[str, Any]:
@@ -285,8 +298,7 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[d
     kept = torch.zeros(len(start.x), dtype=torch.bool)
     kept[list(itertools.chain(*rows))] = True
     going = kept.reshape(-1, n).sum(1)  # shown episodes of each flyer
-    observation, clearance = task.observe(start)
-    poses, choices = [_pose(torch.arange(len(kept)), start, _slots(task, observation), clearance, kept)], []
+    poses, choices = [_pose(task, torch.arange(len(kept)), start, *task.observe(start), kept)], []
     collided, arrived = torch.zeros(2, len(kept), dtype=torch.bool)
     for step in episodes.steps([flyer[:2] for flyer in flyers], task):
         mine, outcome = kept[step.episode], step.outcome
@@ -294,9 +306,7 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[d
         if values is None:  # behind the action of a scripted policy is nothing but itself
             values = functional.one_hot(step.action, task.world.n_actions).float()
         choices.append({"row": step.episode[mine], "action": step.action[mine], "values": values[mine]})
-        poses.append(
-            _pose(step.episode, step.state, _slots(task, outcome.observation), outcome.clearance, mine)
-        )
+        poses.append(_pose(task, step.episode, step.state, outcome.observation, outcome.clearance, mine))
         collided[step.episode] = outcome.terminated
         if isinstance(task.task, Goal):
             arrived[step.episode] = task.succeeded(step.state)
@@ -314,18 +324,19 @@ def _fly_together(flyers: Sequence[Flyer], task: WrappedTask) -> Iterator[list[d
         yield packed
 
 
-def _slots(task: WrappedTask, observation: Tensor) -> Tensor:
-    """The slots [F, 10, 3], in 3D [F, 10, 4], of observations [F, n], no velocities; a stack's newest."""
-    world = task.world
+def _pose(
+    task: WrappedTask, row: Tensor, state: State, observation: Tensor, clearance: Tensor, kept: Tensor
+) -> Columns:
+    """The fields of a pose, of those of a step's episodes that are shown.
+
+    Slots are of observations [F, n], without velocities, of a stack the newest. row [F]: which episodes they
+    are, kept [F] bool.
+    """
+    world, fields = task.world, _fields(task.world)
     slots = observation[:, : world.n_slots * len(world.slot_low)].reshape(len(observation), world.n_slots, -1)
-    return slots[..., : 4 if isinstance(world, SpaceWorld) else 3]
-
-
-def _pose(row: Tensor, state: State, slots: Tensor, clearance: Tensor, kept: Tensor) -> Columns:
-    """Those of a step's episodes that are shown; row [F]: which they are, kept [F] bool."""
-    names = ("x", "y", "heading", "reward", "z", "pitch")
-    fields = {name: getattr(state, name) for name in names if name in state._fields}
-    columns = {"row": row, "clearance": clearance, "slots": slots} | fields
+    columns = {"row": row, "clearance": clearance}
+    columns |= zip((name for name in SLOT if name in fields), slots.unbind(-1), strict=False)
+    columns |= {name: getattr(state, name) for name in fields if name in state._fields}
     return {name: column[kept] for name, column in columns.items()}
 
 
@@ -340,17 +351,15 @@ def _by_row(steps: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:
 def _pack(seed: int, layout: int, ended: str, poses: Columns, choices: Columns) -> dict[str, Any]:
     """One episode as a page has it.
 
-    poses: T + 1 rows of x, y [px], heading [degrees], clearance [px], reward so far, slots [10, 3 or 4];
-    choices: T rows of action, and values [T, 100], the numbers behind it.
+    poses: T + 1 rows of the fields of a pose; choices: T rows of action, and values [T, 100], the numbers
+    behind it.
     """
     values = choices["values"]
     low, high = values.aminmax(dim=-1, keepdim=True)
     relative = (values - low) / torch.where(high > low, high - low, 1)
-    in_3d = "z" in poses
-    names = ("right", "up", "forward", "proximity") if in_3d else ("right", "forward", "proximity")
-    columns = poses | dict(zip(names, poses["slots"].unbind(-1), strict=True))
-    columns |= {"action": choices["action"], "low": low, "high": high, "value": relative}
-    content = b"".join(_bytes(columns[name], field) for name, field in (IN_3D if in_3d else FIELDS).items())
+    columns = poses | {"action": choices["action"], "low": low, "high": high, "value": relative}
+    fields = IN_3D if "z" in poses else FIELDS
+    content = b"".join(_bytes(columns[name], field) for name, field in fields.items())
     return {
         "seed": seed,
         "layout": layout,

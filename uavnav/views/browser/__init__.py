@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,16 +54,15 @@ IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}
 """The same of those that pages show in replays and do not fly."""
 
 
-def constants() -> dict[str, dict[str, Any]]:
+def constants(worlds: Mapping[str, World]) -> dict[str, dict[str, Any]]:
     """What `world.js` needs of each task, by its name there: constants, the time limit, and `RULES`."""
-    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is only a layout file
     return {
         name: {
-            "world": kind.WORLD().model_dump(),
-            "max_steps": kind.MAX_STEPS,
+            "world": world.model_dump(),
+            "max_steps": TASKS.get(name, TASKS["drone"]).MAX_STEPS,
             "rules": RULES.get(name, {}) | {"classics": CLASSICS},
         }
-        for name, kind in kinds.items()
+        for name, world in worlds.items()
     }
 
 

@@ -291,13 +291,13 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     found, opening = flyers.policies, opening or Opening()
     metrics = [{"name": name, **METRICS[name]._asdict()} for name in paper.COLUMNS]
     scene = _scene(flyers, opening)
-    usual = {name: splits.KINDS.get(name, splits.KINDS["drone"]).world() for name in browser.TITLES}
-    worlds = {name: flyers.tasks.get(name, world) for name, world in usual.items()}
+    usual = splits.KINDS | {"slalom": splits.KINDS["drone"]}  # which is only a layout file
+    worlds = {name: flyers.tasks.get(name) or usual[name].world() for name in browser.TITLES}
     values = scene | {"pace": worlds["moving"].model_dump()["speed_max"]}
     sliders = {name: _reaching(one, values[name]) for name, one in SETTINGS.items()}
     settings = {name: {**one._asdict(), "here": scene[name]} for name, one in sliders.items()}
     data: dict[str, Any] = {
-        "tasks": browser.constants(),
+        "tasks": browser.constants(worlds),
         "settings": settings,
         "about": ABOUT,
         "metrics": metrics,
@@ -311,7 +311,6 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
     }
     for name, world in worlds.items():
         own = data["tasks"][name]
-        own["world"] = world.model_dump()
         own["max_steps"] = opening.max_steps or own["max_steps"] or MAX_STEPS
         data["headers"][name] = splits.read("test", world)[1]
         if name != "slalom":

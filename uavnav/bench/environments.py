@@ -11,10 +11,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from uavnav.bench import Result
 
 WARM_UP = 10  # calls before those that are timed
+NUMPY = EnvSpec("uavnav/NumpyDrone-v0", "uavnav.bench.numpy_world:NumpyDroneEnv")
 PATIENCE = 300.0  # seconds in which all processes come that measure side by side
 
 
@@ -100,6 +102,4 @@ def _rate(step: Callable[[], object], seconds: float) -> float:
 
 def make_env(which: str) -> Any:
     """One environment with the wrappers of `gymnasium.make`; `which`: `numpy` or `uavnav`."""
-    if which == "numpy" and "uavnav/NumpyDrone-v0" not in gymnasium.registry:
-        gymnasium.register(id="uavnav/NumpyDrone-v0", entry_point="uavnav.bench.numpy_world:NumpyDroneEnv")
-    return gymnasium.make({"numpy": "uavnav/NumpyDrone-v0", "uavnav": "uavnav/Drone-v0"}[which])
+    return gymnasium.make(NUMPY if which == "numpy" else "uavnav/Drone-v0")

@@ -112,7 +112,8 @@ def test_an_episode_across_a_column_and_back_has_two_passages():
 
 def test_an_evaluation_on_a_slalom_has_a_column_of_passages_and_two_metrics_of_it():
     task = evaluation.on(make_task(EMPTY), "slalom-160/test", 6, 40)
-    rows = evaluation.fly({0: BASELINES["random"], 1: straight_ahead}, task, measure=slalom.passages).episodes
+    policies = {0: BASELINES["random"], 1: straight_ahead}
+    rows = evaluation.fly_modes({"": policies}, task, measure=slalom.passages).episodes
     assert rows.groupby("seed")["passages"].sum()[1] == 0  # up, between two columns
     own = metrics.own(rows)
     assert list(own.columns) == ["passages_per_1000_steps", "passages_per_episode"]

@@ -158,9 +158,9 @@ def check_bounds(episodes: int, max_steps: int, most: int) -> None:
         raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give {bounds}")
 
 
-def fly(population: Mapping[int, AnyPolicy], task: WrappedTask, measure: Measure | None = None) -> Evaluation:
+def fly(population: Mapping[int, AnyPolicy], task: WrappedTask) -> Evaluation:
     """`fly_modes` of one policy a seed; no column `mode`."""
-    found = fly_modes({"": population}, task, measure=measure)
+    found = fly_modes({"": population}, task)
     return Evaluation(*(table.drop(columns="mode") for table in found))
 
 

@@ -128,8 +128,7 @@ def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
     if (runs := math.prod(map(len, values.values()))) > MOST_CONFIGURATIONS:
-        told = f"the sweep has {runs:,} runs; give at most {MOST_CONFIGURATIONS:,}"
-        raise ConfigError(f"{several[0]}: {told}")
+        raise ConfigError(f"{several[0]}: the sweep has {runs:,} runs; give at most {MOST_CONFIGURATIONS:,}")
     return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
 
 
@@ -189,9 +188,8 @@ def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
     for name in settings:
         if name not in known and name.partition(".")[0] not in PARTS:
             raise unknown_key(name, known)
-    command = Command(**{name: settings[name] for name in Command.names() if name in settings})
-    own = {name: value for name, value in settings.items() if name not in Command.names()}
-    config = kind.from_mapping(own)
+    command = Command(**{name: settings.pop(name) for name in Command.names() if name in settings})
+    config = kind.from_mapping(settings)
     if command.out is None:
         return Order(config, free_folder(config), command)
     return Order(config, Path(_filled(command.out, flat(plain(config) | command.model_dump()))), command)

@@ -20,6 +20,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "compiled: needs a compiler, and is skipped where there is none")
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file():
+    """Tests have no doctests: to look for them, each process would import and search all modules here."""
+    return [one for one in (yield) if type(one) is pytest.Module]
+
+
 def pytest_collectstart() -> None:
     """In the process that collects: the one that hands out tests to others needs no PyTorch."""
     import torch

@@ -11,13 +11,19 @@ from bad_input import put
 from runs_by_hand import rows, two, write_policies, write_run
 
 from uavnav.colours import OTHERS, PILOTS
-from uavnav.report import mine, places, report
-from uavnav.report.compare import of_episodes
+from uavnav.report import compare, mine, places, report
 from uavnav.report.configurations import collect
 from uavnav.runs.tables import write_table
 from uavnav.training.checkpoints import Checkpoints
 
 OWN = {"study": ""}
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Where no rows of the scripted policy are kept, it flies 20 steps on 2 layouts, not 10,000 on 200."""
+    fly, short = compare.fly, {"episodes": 2, "max_steps": 20}
+    monkeypatch.setattr(compare, "fly", lambda name, protocol, *more: fly(name, {**protocol, **short}, *more))
 
 
 def flown(*rewards, seed=0):
@@ -81,7 +87,7 @@ def test_the_typical_episode_is_the_median_by_reward():
     assert mine.typical(table[:4]) == (0, 1)  # of 4, 7, 8, 9 the lesser
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "brief")
 def test_the_typical_episode_is_recorded_in_the_colour_of_its_run(tmp_path):
     for name, algorithm in (("one", "ppo"), ("other", "ppo"), ("third", "dqn")):
         path = write_policies(
@@ -109,6 +115,7 @@ def test_of_an_unfinished_run_a_worker_that_has_finished_counts_too(tmp_path):
     assert begun.episodes.groupby("seed").size().to_dict() == {0: 2, 1: 2}
 
 
+@pytest.mark.usefixtures("brief")
 def test_damaged_episodes_of_scripts_and_people_are_named_and_stop_nothing(runs, tmp_path):
     for name in ("reactive.parquet", "human.parquet"):
         (runs / "baselines" / name).write_bytes(b"no table")
@@ -120,9 +127,9 @@ def test_damaged_episodes_of_scripts_and_people_are_named_and_stop_nothing(runs,
 
 def test_an_interval_is_over_seeds_where_there_are_several_and_else_over_episodes():
     seeds, values = pd.Series([0, 0, 1, 1]), pd.Series([1.0, 3.0, 5.0, 7.0])
-    mean, over = of_episodes(values, seeds)
+    mean, over = compare.of_episodes(values, seeds)
     assert (mean.value, mean.n, over) == (4.0, 2, "seeds")
-    mean, over = of_episodes(values, seeds * 0)
+    mean, over = compare.of_episodes(values, seeds * 0)
     assert (mean.value, mean.n, over) == (4.0, 4, "episodes")
     assert np.isfinite(mean.low)
 

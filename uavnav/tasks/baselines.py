@@ -23,7 +23,6 @@ AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
 WORLD = World()
 FULL_SPEED = WORLD.n_distances - 1  # [px], and the action that flies them straight ahead
 GOAL = GoalWorld()
-WITH_GOAL = GOAL.observation_size
 
 
 def uniform_random(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -49,7 +48,7 @@ def reactive(
     It looks at the newest observation of a stack. world: what is sensed; by default as the size of one
     observation tells.
     """
-    if world is None and observation.shape[-1] % WITH_GOAL == 0:
+    if world is None and observation.shape[-1] % GOAL.observation_size == 0:
         return towards_goal(observation, generator)
     world = world or _of_size(observation)
     towards, distance, empty, _ = seen(observation, world)

@@ -25,6 +25,7 @@ from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.goal import GoalWorld
+from uavnav.tasks.sensed import MARGIN, SCALE
 from uavnav.tasks.table import make_task
 
 
@@ -302,6 +303,58 @@ def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(all_layouts):
     assert (
         rows["distance"][rows["succeeded"] == 1] + 9 >= rows["shortest"][rows["succeeded"] == 1] * 0.98
     ).all()
+
+
+def chosen_by_hand(slots, goal, away):
+    """What `reactive` does with slots (right, forward, distance [px]): (turn, speed), or None where rounding
+    decides.
+
+    Segments of the next 60 px, or of the way to a nearer goal, in directions 5 degrees apart; free is one
+    from which all that is in front stays more than 32 px away.
+    """
+    free, close = [], False
+    for bearing in range(-90, 91, 5):
+        sine, cosine = math.sin(math.radians(bearing)), math.cos(math.radians(bearing))
+        apart = []
+        for right, forward, distance in slots:
+            along = right * sine + forward * cosine
+            if along <= 0:
+                continue
+            end = min(distance * along, 60, away)
+            apart.append(math.hypot(distance * right - end * sine, distance * forward - end * cosine))
+        close |= any(abs(one - 32) < 1e-3 for one in apart)
+        if all(one > 32 for one in apart):
+            free.append(bearing)
+    wanted = min(free, key=lambda bearing: abs(bearing - math.degrees(math.atan2(*goal))), default=-90)
+    turn = min(max(-wanted, -4), 5)
+    ahead = -math.sin(math.radians(turn)), math.cos(math.radians(turn))
+    rooms = [9.0]
+    for right, forward, distance in slots:
+        closing = right * ahead[0] + forward * ahead[1]
+        if closing > 0:
+            rooms.append((distance - 30 - MARGIN) / closing)
+    close |= abs(min(rooms) - round(min(rooms))) < 1e-3 and min(rooms) < 9
+    return None if close else (turn, 0 if abs(wanted) >= 45 else max(int(min(rooms)), 0))
+
+
+def test_the_reactive_rule_takes_the_free_direction_nearest_to_the_goal_at_2000_poses(all_layouts):
+    task, n, generator = make_task(all_layouts, task="goal"), 2000, torch.Generator().manual_seed(4)
+    layout, heading = (torch.randint(most, (n,), generator=generator) for most in (len(all_layouts), 360))
+    x, y = (torch.rand(2, n, generator=generator) * torch.tensor([[700.0], [500.0]]) + 50).unbind()
+    state = task.start(layout, heading)._replace(x=x, y=y)
+    observation, clearance = task.observe(state)
+    observation = observation[clearance > 30]
+    chosen = BASELINES["reactive"](observation, None)
+    slots = observation[:, :30].reshape(-1, 10, 3).double()
+    compared = 0
+    for action, own, (right, forward, away) in zip(chosen, slots, observation[:, 30:].tolist(), strict=True):
+        there = [(r, f, 30 + p * 90) for r, f, p in own.tolist() if (r, f) != (0, 0)]
+        expected = chosen_by_hand(there, (right, forward), away * SCALE)
+        if expected is not None:
+            turn, speed = action.item() // 10, action.item() % 10
+            assert ((turn + 4) % 10 - 4, speed) == expected
+            compared += 1
+    assert compared > 1000
 
 
 @pytest.mark.parametrize(

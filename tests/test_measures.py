@@ -17,7 +17,7 @@ def flown(policy, task, measures=True):
     return fly_modes({"": {0: policy}}, task, measures=measures).episodes
 
 
-def test_straight_to_the_wall_is_28_steps_of_9_px_of_which_3_end_within_30_px_of_it():
+def test_straight_to_the_wall_is_28_steps_of_9_px_of_which_4_end_within_30_px_of_it():
     task = on(make_task(EMPTY), torch.empty(1, 0, 3), 1, 100)
     (row,) = flown(straight_ahead, task).to_dict("records")
     # the wall's edge is 250 px from the drone's: after n steps 250 - 9 n are left
@@ -56,6 +56,13 @@ def test_all_other_columns_stay_as_they_are_also_where_a_greedy_policy_goes_roun
     assert without.truncated.any()
     assert without.equals(with_[[*without]])
     assert {*with_} - {*without} == {"danger", "separation", "turned", "jerk"}
+
+
+def test_danger_is_a_share_of_time_curvature_a_turn_in_100_px_and_jerk_a_mean_of_steps():
+    rows = pd.DataFrame({"seed": 0, "steps": [8, 12], "distance": [50, 150], "danger": [3, 1],
+                         "separation": [5.0, 25.0], "turned": [30, 10], "jerk": [6.0, 4.0]})  # fmt: skip
+    own = metrics.own(rows).loc[0].to_dict()
+    assert own == {"danger": 20, "separation": 15, "curvature": 20, "jerk": 0.5}
 
 
 def test_barns_score_is_a_quarter_at_best_and_counts_only_successes():

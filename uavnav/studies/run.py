@@ -260,7 +260,7 @@ class Runner:
         self._running: list[Job] = []
         self._stop: int | None = None
         self._leaving: list[tuple[float, Job]] = []  # jobs that have said their last words, since when
-        self._slots = 0
+        self._slots, self._answers = 0, True  # as the engine said last, and whether it did
         self._looked = self._said = 0.0
         self._lived = self._answered = time.monotonic()  # when a job lived, and the engine answered, last
 
@@ -308,8 +308,9 @@ class Runner:
     def _ask(self, question: Callable[[], Answer], unknown: Answer) -> Answer:
         """What the engine answers; `unknown` where it does not, until that has lasted for an hour."""
         try:
-            answer = asked(self.engine, question)
+            answer, self._answers = asked(self.engine, question), True
         except Unanswered:
+            self._answers = False
             if time.monotonic() - self._answered > IDLE_SECONDS:
                 raise
             return unknown
@@ -424,7 +425,7 @@ class Runner:
         parts += [f"{len(running) - begun} jobs to begin"] * (begun < len(running))
         parts += [f"a machine for {left} jobs"] * (not running)
         what = f"no job has lived for {now - self._lived:,.0f} s, waiting for {' and '.join(parts)}"
-        has = f"has {self._slots} slots" if now - self._answered < SAY_SECONDS else "does not answer"
+        has = f"has {self._slots} slots" if self._answers else "does not answer"
         engine = f"engine={type(self.engine).__name__.lower()} {has}"
         if now - self._lived > IDLE_SECONDS:
             handles = [job.handle for job in running if not job.begun]

@@ -71,6 +71,25 @@ def way_to(target, circles, radius=40):
 # -- layouts -------------------------------------------------------------------------------------------------
 
 
+def test_where_no_goal_can_be_reached_other_circles_are_drawn_and_after_100_layouts_none(monkeypatch):
+    draw, tried = goal._draw_goal, []
+
+    def once(standing, rng, world):
+        tried.append(standing)
+        return None if len(tried) == 1 else draw(standing, rng, world)
+
+    monkeypatch.setattr(goal, "_draw_goal", once)
+    found = goal.generate(1, 8, 3)
+    assert len(tried) == 2
+    assert not np.isin(tried[0], tried[1]).any()
+    np.testing.assert_array_equal(found[0, :8], tried[1])
+    goal.validate(found)
+    monkeypatch.setattr(goal, "_draw_goal", lambda *anything: tried.append(0))
+    with pytest.raises(uavnav.LayoutError, match="no goal could be reached in 100 layouts"):
+        goal.generate(1, 8, 3)
+    assert len(tried) == 102
+
+
 @pytest.mark.parametrize("split", layouts.SPLITS)
 def test_each_split_has_a_goal_a_set_and_its_first_30_are_what_the_seed_generates(split):
     n, seed = layouts.SPLITS[split]

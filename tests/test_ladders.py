@@ -145,6 +145,18 @@ def test_a_layout_file_that_is_drawn_when_it_is_asked_for_is_ones_own():
 # -- the task of a rung --------------------------------------------------------------------------------------
 
 
+def test_the_rungs_of_faults_of_fields_and_of_speed_are_those_of_the_tasks_own_table():
+    assert {name: ladder.rungs for name, ladder in LADDERS.items() if name not in ("density", "slalom")} == {
+        "arc": (60, 90, 120, 180),
+        "reach": (60, 90, 120, 160),
+        "speed": (0, 1, 2, 3, 4, 6),
+        "noise": (0, 2, 5, 10, 20),
+        "lost": (0, 0.05, 0.1, 0.2, 0.4),
+        "late": (0, 1, 2, 4, 8),
+        "sticky": (0, 0.1, 0.25, 0.5),
+    }
+
+
 @pytest.mark.parametrize("name", LADDERS)
 def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
     own = make_task(EMPTY, {"padding": "zeros"}, max_steps=50)

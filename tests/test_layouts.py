@@ -9,7 +9,7 @@ from scipy import stats
 
 import uavnav
 from uavnav.cli import commands
-from uavnav.tasks import circles, goal, layouts
+from uavnav.tasks import circles, goal, layouts, moving
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.space import SpaceWorld
@@ -92,6 +92,26 @@ def test_the_seed_alone_decides_five_sets():
     all_layouts = layouts.generate(5, 8, seed=3)
     assert torch.equal(all_layouts, layouts.generate(5, 8, seed=3))
     assert not torch.isin(all_layouts, layouts.generate(5, 8, seed=4)).any()
+
+
+def test_five_layouts_have_eight_obstacles_of_seed_0_where_nothing_else_is_said():
+    assert torch.equal(layouts.generate(5), layouts.generate(5, 8, 0))
+
+
+def test_obstacles_and_layouts_are_bounded_in_all():
+    for n, k in ((circles.MOST_OBSTACLES // 2 + 1, 2), (circles.MOST_OBSTACLES + 1, 0)):
+        with pytest.raises(uavnav.LayoutError, match=f"n={n}, k={k}; give at most"):
+            circles.generate(n, k)
+
+
+def test_radii_of_30_and_100_px_and_centres_on_the_windows_edge_are_valid_and_beyond_are_not():
+    corners = torch.tensor([[[0, 0, 30, 0, 0], [800, 600, 100, 0, 0]]], dtype=torch.float32)
+    moving.validate(corners)
+    for place, value in ((2, 29.99), (2, 100.01), (0, -0.01), (1, 600.01)):
+        wrong = corners.clone()
+        wrong[0, 0, place] = value
+        with pytest.raises(uavnav.LayoutError):
+            moving.validate(wrong)
 
 
 def test_no_obstacle_at_all_is_a_valid_split(tmp_path):

@@ -184,6 +184,11 @@ def test_spheres_of_the_ladder_of_speeds_fly_up_to_6_px_a_step_and_at_0_stand_as
         assert (type(task.task), task.max_steps, task.world.padding) == (SpaceMoving, 50, "zeros")
         fastest = task.velocities(task.start(rows, torch.full((200,), 90))).norm(dim=-1).max().item()
         assert rung * 0.99 <= fastest <= rung + 1e-5
+    # velocities are sensed by the greatest of training, 2 px a step, and clamped
+    sensing = make_task(EMPTY, {"sense_velocity": True, "sensor_radius": 250.0}, task="space-moving")
+    fast = LADDERS["speed"].task(sensing, 6, "test")
+    velocity = fast.observe(fast.start(rows, torch.full((200,), 90)))[0].reshape(200, 10, -1)[..., 4:]
+    assert (velocity.min(), velocity.max()) == (-1, 1)
     still = make_task("test", {"padding": "zeros"}, task="space")
     slow = LADDERS["speed"].task(own, 0, "test")
     both = [one.start(rows, torch.full((200,), 90)) for one in (still, slow)]

@@ -130,7 +130,11 @@ def test_the_best_of_four_has_to_be_above_each_and_the_largest_p_counts():
 
     others = [EIGHT - 9, EIGHT[::-1] - 2, EIGHT - 5]
     found = one(BEST, EIGHT, *others)
-    p = ttest_ind(EIGHT, others[1], equal_var=False).pvalue
+    tests = [ttest_ind(EIGHT, other, equal_var=False) for other in others]
+    each, of_three = ([test.confidence_interval(1 - level) for test in tests] for level in (0.05, 0.05 / 3))
+    assert found.low == pytest.approx(min(one.low for one in each))
+    assert found.high == pytest.approx(min(one.high for one in of_three))
+    p = tests[1].pvalue
     assert (found.value, found.p_holm, found.verdict) == (pytest.approx(2), pytest.approx(p), "replicates")
     assert found.nearest == "PPO tanh against PPO ReLU"
 
@@ -144,6 +148,10 @@ def test_somebody_above_it_is_holm_over_three():
     assert one(BEST, EIGHT, *others).verdict == "reverses"
     above = [EIGHT + 9, EIGHT[::-1] - 2, EIGHT + 5]
     found = one(SOMEBODY, EIGHT, *above)
+    tests = [ttest_ind(EIGHT, other, equal_var=False) for other in above]
+    each, of_three = ([test.confidence_interval(1 - level) for test in tests] for level in (0.05, 0.05 / 3))
+    assert found.low == pytest.approx(max(one.low for one in of_three))
+    assert found.high == pytest.approx(max(one.high for one in each))
     assert (found.value, found.p_holm, found.verdict) == (
         pytest.approx(2),
         pytest.approx(3 * p),

@@ -177,23 +177,37 @@ def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_
 def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_snapshot(
     study, tmp_path, monkeypatch
 ):
-    impatient(monkeypatch, SILENT=12.0, IDLE=60.0)
+    impatient(monkeypatch, SILENT=12.0, IDLE=600.0)
+    stops_itself = """
+import os, runpy, signal
+from uavnav.training.checkpoints import Checkpoints
+
+save = Checkpoints.save
+
+def save_and_stop(*given):
+    save(*given)
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+Checkpoints.save = save_and_stop
+runpy.run_module("uavnav.cli.worker", run_name="__main__", alter_sys=True)
+"""
 
     class Stopped(Engine):
         """Its first job is stopped as soon as it has a snapshot, as by a machine that swaps or is cut off."""
 
-        def ended(self, job):
-            if self.given == 1 and [*tmp_path.glob("out/*/*/workers/*/checkpoint/state-*")]:
-                os.kill(job.pid, signal.SIGSTOP)
-            return super().ended(job)
+        def start(self, jobs):
+            if not self.given:
+                (words,) = jobs
+                place = words.index("-m")
+                words[place : place + 2] = ["-c", stops_itself]
+            return super().start(jobs)
 
     engine = Stopped()
-    config = CONFIG.replace(total_frames=20_480)
-    failed, said = study(engine, config, (), seeds_per_worker=2, checkpoint_seconds=0)
+    failed, said = study(engine, evaluations=(), seeds_per_worker=2, checkpoint_seconds=0)
     assert (failed, engine.given) == ([], 2)
     assert any(re.search(r"has been silent for \d\d s and counts as dead", line) for line in said)
     assert any("its job is gone; given again, from its last snapshot" in line for line in said)
-    alone = train(config, tmp_path / "alone", quiet=True, processes=1)
+    alone = train(CONFIG, tmp_path / "alone", quiet=True, processes=1)
     assert not parting("episodes", alone.episodes, Run(tmp_path / "out" / "ppo" / "tanh").episodes)
 
 

@@ -111,6 +111,7 @@ def test_training_begins_its_process_again_with_an_allocator_that_keeps_more_blo
     main()
     assert calls == ([(sys.executable, [sys.executable, *words[1:]])] if begins_again else [])
     assert os.environ.get("GLIBC_TUNABLES") == (ALLOCATOR if begins_again else allocator)
+    assert f"`GLIBC_TUNABLES={ALLOCATOR}`" in ALL["docs/troubleshooting.md"]
 
 
 @pytest.mark.parametrize("words", [["evalute"], ["evalute", "runs/ppo/tanh"]])

@@ -82,6 +82,14 @@ class Started:
                 found.append(int(entry.name))
         return found
 
+    def kill_one(self):
+        """Kill one of them; whether there was one."""
+        for job in self.jobs():
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.kill(job, signal.SIGKILL)
+                return True
+        return False
+
     def snapshots(self):
         """Workers that have one."""
         return {path.parent.parent for path in self.out.glob("*/*/workers/*/checkpoint/state-*")}
@@ -206,8 +214,7 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path,
 def test_submitits_local_jobs_give_the_same_bits_although_one_is_killed(study, alone):
     pytest.importorskip("submitit")
     process = study("engine=slurm", "cluster=local", "jobs=2")
-    study.until(study.snapshots)
-    os.kill(study.jobs()[0], signal.SIGKILL)
+    study.until(lambda: study.snapshots() and study.kill_one())
     assert "its job is gone; given again" in study.finished(process)
     assert_same_bits(study.out, alone)
 

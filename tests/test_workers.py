@@ -162,9 +162,11 @@ def locked(out):
 def holders(out):
     """The processes of the workers, in the order of their seeds: each holds its lock open."""
     held = {}
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with contextlib.suppress(OSError):
-            held[os.readlink(link)] = int(link.parts[2])
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it may end meanwhile
+            for link in (process / "fd").iterdir():
+                with contextlib.suppress(OSError):  # or close it
+                    held[os.readlink(link)] = int(process.name)
     return [held[str(lock)] for lock in sorted(out.glob("workers/*/.lock")) if str(lock) in held]
 
 

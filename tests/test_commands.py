@@ -17,7 +17,7 @@ from pages import ALL, CONFIGS, table
 
 import uavnav
 from uavnav import settings
-from uavnav.__main__ import ALLOCATOR, main
+from uavnav.__main__ import ALLOCATOR, TRAINS, main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands, help, terminal
 from uavnav.cli.help.render import render
@@ -99,6 +99,7 @@ def test_the_wheel_has_the_command_and_what_it_reads():
 def test_training_begins_its_process_again_with_an_allocator_that_keeps_more_blocks(
     started, platform, allocator, begins_again, monkeypatch, capsys
 ):
+    assert {*TRAINS} < {*commands.COMMANDS}
     words = started.split()
     monkeypatch.setattr(sys, "orig_argv", words)
     monkeypatch.setattr(sys, "argv", ["uavnav", *(words[3:] or ["train", "ppo", "--cfg", "job"])])

@@ -13,7 +13,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.errors import choose_from, one_line
 
-TRAINS = ("train", "study", "tune", "verify", "bench")
+TRAINS = ("train", "study", "verify", "bench")
 ALLOCATOR = "glibc.malloc.tcache_count=1000"
 """Keeps 1,000 freed blocks of a size for the thread that freed them, where glibc keeps 7 by default."""
 

@@ -115,8 +115,10 @@ def test_a_watched_run_of_ours_is_stopped_and_names_its_rate(algorithm, more):
 def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
     pytest.importorskip("stable_baselines3")
     model, config = (
-        training.make_model(training.SB3, algorithm, environments.make_env("numpy")),
-        training.settings(algorithm),
+        training.make_model(
+            training.SB3, training.settings(algorithm, "paper"), environments.make_env("numpy")
+        ),
+        training.settings(algorithm, "paper"),
     )
     theirs = {
         "lr": model.learning_rate,

@@ -65,7 +65,8 @@ class Results:
 def run(measurements: Sequence[Measurement], cache: Path, say: Callable[[str], None]) -> Results:
     """All measurements, round by round, so that the machine's drift falls on all alike; Ctrl-C stops them."""
     results, began = Results(), time.monotonic()
-    rounds = [(one, turn) for turn in range(9) for one in measurements if turn < one.rounds]
+    most = max((one.rounds for one in measurements), default=0)
+    rounds = [(one, turn) for turn in range(most) for one in measurements if turn < one.rounds]
     try:
         for count, (one, turn) in enumerate(rounds, 1):
             try:

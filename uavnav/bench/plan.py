@@ -16,6 +16,7 @@ CORES = min(2, machine.cores())
 NUMPY = "gymnasium/numpy"
 BATCHES = (1, 16, 256, 1024, 2048, 4096, 16_384, 32_768)
 WORLD_BATCH = 4096
+MANY = 16  # environments of a peer that has many
 IN_SB3 = ("ppo", "dqn", "a2c")  # the algorithms that Stable-Baselines3 has too
 FAULTS = {"noise": 5.0, "lost": 0.1, "late": 2, "sticky": 0.1}
 TASKS: dict[str, Result] = {
@@ -55,22 +56,31 @@ def gymnasium() -> Iterator[Measurement]:
 
 
 def training(algorithm: str) -> Iterator[Measurement]:
-    """Ours with one seed and with ten, and the peers that have the algorithm."""
-    name, quick = f"training/{algorithm.upper()}", {"seconds": 5.0}
-    run: Result = {"algorithm": algorithm, "seconds": 15.0}
-    base = f"{name}, SB3" if algorithm in IN_SB3 else ""
-    mine = Measurement("", "training.ours", run, CORES, base=base, warm={"seconds": 0.0}, quick=quick)
-    yield replace(mine, name=f"{name}, uavnav, 1 seed")
-    yield replace(mine, name=f"{name}, uavnav, 10 seeds", arguments=run | {"n_seeds": 10})
+    """Ours in one environment and in many, with one seed and with ten, and the peers that have the algorithm.
+
+    What is compared is measured in turn ten times; other rows, fewer times.
+    """
+    many = f"in {settings(algorithm).n_envs} environments"
+    name, quick, peers = f"training/{algorithm.upper()}", {"seconds": 5.0}, algorithm in IN_SB3
+    run: Result = {"algorithm": algorithm, "seconds": 6.0}
+    base, rounds = f"{name}, SB3" if peers else "", 10 if peers else 3
+    mine = Measurement(
+        "", "training.ours", run, CORES, 1, rounds, base=base, warm={"seconds": 0.0}, quick=quick
+    )
     one = run | {"preset": "paper"}
-    yield replace(mine, name=f"{name}, uavnav, 1 seed in one environment", arguments=one)
+    yield replace(mine, name=f"{name}, uavnav, 1 seed", arguments=one)
+    yield replace(mine, name=f"{name}, uavnav, 1 seed {many}")
+    yield replace(mine, name=f"{name}, uavnav, 10 seeds", arguments=one | {"n_seeds": 10})
+    yield replace(mine, name=f"{name}, uavnav, 10 seeds {many}", arguments=run | {"n_seeds": 10})
     for which in ("collection", "updates"):
         apart = Measurement(f"{name}, its {which}", "training.part", one | {"which": which}, quick=quick)
         yield replace(apart, warm={"seconds": 0.0})
-    run |= {"seconds": 30.0}
-    peer = Measurement(base, "training.peer", run, base=base, rounds=2, needs=SB3)
-    if algorithm in IN_SB3:
-        yield replace(peer, rounds=3, quick=quick)
+    run |= {"seconds": 10.0}
+    peer = Measurement(base, "training.peer", run, rounds=2, base=base, needs=SB3)
+    if peers:
+        yield replace(peer, rounds=rounds, quick=quick)
+        vector = run | {"n_envs": MANY}
+        yield replace(peer, name=f"{base} in {MANY} environments", arguments=vector, rounds=rounds)
         yield replace(peer, name=f"{base}, two side by side", copies=2)
         yield replace(peer, name=f"{base}, our Gymnasium", arguments=run | {"which": "uavnav"})
     if algorithm in ("ppo", "dqn"):

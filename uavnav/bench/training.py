@@ -135,32 +135,43 @@ class Counted(TorchDispatchMode):  # type: ignore[no-untyped-call]
         return found
 
 
-def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:
-    """The model of a library with the preset `vectorised`, for one environment; `beyond` is what differs."""
-    config = settings(algorithm)
+def make_model(library: str, config: Any, env: Any, **beyond: Any) -> Any:
+    """The model of a library with our settings, in one environment or a vector; `beyond` is what differs."""
+    n_envs = getattr(env, "num_envs", 1)
     if library == SBX:
         activation = importlib.import_module("jax.nn").tanh
     else:
         activation = importlib.import_module("torch.nn").Tanh
         beyond["device"] = "cpu"
-    if algorithm == "dqn":
+    if config.algorithm == "dqn":
         beyond["learning_starts"] = config.learning_starts
         beyond["target_update_interval"] = config.target_update_frames  # SBX has another
+        beyond["train_freq"] = max(1, config.frames_per_update // n_envs)
+        beyond["gradient_steps"] = max(1, n_envs // config.frames_per_update)
     else:
-        beyond["n_steps"] = config.frames_per_iteration
-    model = getattr(importlib.import_module(library), algorithm.upper())
+        beyond["n_steps"] = config.frames_per_iteration // n_envs
+    model = getattr(importlib.import_module(library), config.algorithm.upper())
     policy = {"net_arch": list(config.hidden), "activation_fn": activation}
     return model("MlpPolicy", env, seed=0, policy_kwargs=policy, **beyond)
 
 
-def peer(launched: float, algorithm: str, seconds: float, which: str = "numpy", library: str = SB3) -> Result:
-    """A run of a library on one environment that is watched for a while: what `Clock.result` gives.
+def peer(
+    launched: float,
+    algorithm: str,
+    seconds: float,
+    which: str = "numpy",
+    library: str = SB3,
+    n_envs: int = 1,
+) -> Result:
+    """A run of a library that is watched for a while: what `Clock.result` gives.
 
     DQN's epsilon has its last value as soon as learning starts, as in nine tenths of a whole run.
     """
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import DummyVecEnv
 
-    clock = Clock(launched, settings(algorithm), seconds)
+    config = settings(algorithm, "paper", n_envs=n_envs)
+    clock = Clock(launched, config, seconds)
 
     class Watch(BaseCallback):  # type: ignore[misc]
         keep_on = True
@@ -171,6 +182,7 @@ def peer(launched: float, algorithm: str, seconds: float, which: str = "numpy", 
         def _on_step(self) -> bool:
             return self.keep_on
 
+    env = DummyVecEnv([lambda: make_env(which)] * n_envs)
     beyond = {"exploration_fraction": clock.starts / WHOLE} if algorithm == "dqn" else {}
-    make_model(library, algorithm, make_env(which), **beyond).learn(WHOLE, Watch())
+    make_model(library, config, env, **beyond).learn(WHOLE, Watch())
     return clock.result()

@@ -84,8 +84,8 @@ def flown():
     return found
 
 
-def of_folder(*parts):
-    rows = pd.read_parquet(RESULTS.joinpath(*parts) / "evaluation.parquet").query("mode == 'sampled'")
+def of_folder(*parts, rows="evaluation"):
+    rows = pd.read_parquet(RESULTS.joinpath(*parts) / f"{rows}.parquet").query("mode == 'sampled'")
     return rows.groupby("seed")["reward"].mean().to_numpy()
 
 
@@ -113,23 +113,38 @@ def welch(samples, weights):
     return sum(parts) ** 0.5 * t.ppf(0.975, df)
 
 
+def spans(line, value, half, digits=0, widened=1.0):
+    """The interval behind a number has this half-width, or up to `widened` times as much."""
+    number = re.escape(f"{value:.{digits}f}".replace("-", "−"))
+    found = re.search(rf"(?<![\d.,]){number}(?: %)? \((−?[\d.]+) to (−?[\d.]+)(?: %)?\)", line)
+    assert found, (value, line)
+    low, high = (float(one.replace("−", "-")) for one in found.groups())
+    rounding = 1.01 * 10.0**-digits
+    assert low < value < high
+    assert 1.9 * half - rounding < high - low < 2.1 * widened * half + rounding
+
+
 def test_ppo_leads_dqn_by_this_share_of_the_papers_lead(per_frame):
     line = lines("- PPO beats")
     lead = np.mean([per_frame["ppo", one].mean() - per_frame["dqn", one].mean() for one in FOUR])
     printed = np.mean([PRINTED[one] / STEPS[one] - DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR])
     says(line, 1000 * lead, 1)
     says(line, 1000 * printed, 1)
-    says(lines("**PPO beats DQN; its lead"), 100 * lead / printed)
+    half = welch(per_frame.values(), [0.25 if algorithm == "ppo" else -0.25 for algorithm, _ in per_frame])
+    spans(line, 1000 * lead, 1000 * half, 1, widened=1.6)
+    spans(lines("**PPO beats DQN; its lead"), 100 * lead / printed, 100 * half / printed, widened=1.6)
     pairs = itertools.product(FOUR, FOUR)
     assert min(per_frame["ppo", a].mean() - per_frame["dqn", b].mean() for a, b in pairs) > 0
 
 
 def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_frame, logs, flown):
     line = lines("- Sigmoid is")
-    best = max(per_frame["dqn", one].mean() for one in FOUR if one != "sigmoid")
+    best = max((per_frame["dqn", one] for one in FOUR if one != "sigmoid"), key=np.mean)
     printed = {one: DQN_REWARD[one] / DQN_STEPS[one] for one in FOUR}
     lead = printed["sigmoid"] - max(value for one, value in printed.items() if one != "sigmoid")
-    says(line, 100 * (per_frame["dqn", "sigmoid"].mean() - best) / lead)
+    samples = per_frame["dqn", "sigmoid"], best
+    share = 100 * (samples[0].mean() - best.mean()) / lead
+    spans(line, share, 100 * welch(samples, (1, -1)) / lead, widened=1.6)
     windows = []
     for ends, held in logs["dqn", "sigmoid"]:
         frames = np.arange(1_000_000)
@@ -139,16 +154,20 @@ def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_
             [np.nanmean(log[a:b]) for a, b in ((0, 300_000), (300_000, 600_000), (900_000, 1_000_000))]
         )
     before, surge, after = np.array(windows).T
-    says(line, 100 * (surge - after).mean() / (surge - before).mean())
+    rise, lost = surge - before, surge - after
+    share = lost.mean() / rise.mean()
+    spans(line, 100 * share, 100 * welch([lost - share * rise], (1,)) / rise.mean())
     assert (before.mean(), surge.mean(), after.mean()) == pytest.approx((-4.8, 14.9, 0.9), abs=0.06)
-    assert sum((surge - after) / (surge - before) > 0.5) == 33
+    assert sum(lost / rise > 0.5) == 33
     assert max(FOUR, key=lambda one: flown["dqn", one, "sampled"].mean()) != "sigmoid"
 
 
 def test_one_run_a_configuration_would_name_tanh_and_give_the_papers_order_so_often(per_frame, logged):
-    line = lines("- Per frame of training, PPO's sigmoid")
-    others = [per_frame["ppo", one].mean() for one in FOUR if one != "tanh"]
-    says(line, 1000 * (max(others) - per_frame["ppo", "tanh"].mean()), 1)
+    line = lines("- In training, PPO's sigmoid")
+    samples = per_frame["ppo", "sigmoid"], per_frame["ppo", "tanh"]
+    assert max(FOUR, key=lambda one: per_frame["ppo", one].mean()) == "sigmoid"
+    lead = samples[0].mean() - samples[1].mean()
+    spans(line, 1000 * lead, 1000 * welch(samples, (1, -1)), 1, widened=1.6)
     draws = np.random.default_rng(0).integers(40, size=(4, 400_000))
     tanh, sigmoid, relu, leaky = (logged["ppo", one][own] for one, own in zip(FOUR, draws, strict=True))
     best = np.mean((tanh > sigmoid) & (tanh > relu) & (tanh > leaky))
@@ -184,15 +203,16 @@ def test_ppos_lead_by_settings():
 def test_the_scripted_policy_is_ahead_of_the_best_mean_and_single_seeds_pass_it(flown):
     line = lines("- Without sensor noise, a scripted policy")
     rule = pd.read_parquet(RESULTS / "baselines" / "reactive.parquet")["reward"].mean()
-    best = max(own.mean() for (_, _, mode), own in flown.items() if mode == "sampled")
-    says(line, rule - best)
+    best = max((own for (_, _, mode), own in flown.items() if mode == "sampled"), key=np.mean)
+    spans(line, rule - best.mean(), welch([best], (1,)))
     for mode, count in (("sampled", 4), ("greedy", 8)):
         assert sum(int((flown["ppo", one, mode] > rule).sum()) for one in FOUR) == count
         says(line, count)
     learned = of_folder("learned", "drone", "ppo", "tanh")
-    half = welch([learned], (1,))
-    for end in (-half, 0, half):
-        says(line, learned.mean() - rule + end)
+    spans(line, learned.mean() - rule, welch([learned], (1,)))
+    noisy = of_folder("noise", "0", "ppo", "sigmoid", rows="evaluation-test-200-10000-noise=5")
+    script = pd.read_parquet(RESULTS / "noise" / "baselines" / "reactive-test-200-10000-noise=5.parquet")
+    spans(line, noisy.mean() - script["reward"].mean(), welch([noisy], (1,)))
 
 
 @pytest.mark.parametrize("algorithm", FRAMES)

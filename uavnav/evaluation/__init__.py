@@ -274,7 +274,8 @@ def evaluate_run(
     """
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")
-    checked("quiet", quiet, bool)
+    for name, value in (("quiet", quiet), ("shield", shield), ("measures", measures)):
+        checked(name, value, bool)
     if at is not None and at not in run.config.get("keep_at", []):
         right = f"train with keep_at=[{at:g}]" if 0 < at < 1 else "give a share between 0 and 1"
         raise RunError(f"{run.path}: kept no policies at={at:g}; {right}")

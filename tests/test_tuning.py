@@ -328,6 +328,7 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
             "tune: space: ppo=lr; give settings with the",
         ),
         (("epochs: passes}", "task: passes}"), "task=1"),
+        (("epochs: passes}", "3: passes}"), "tune: there is no key '3'; choose from "),
         (("epochs: passes}", "max_steps: passes}"), "the default of ppo, max_steps=None, is not in it"),
         (
             ("epochs: passes}", "max_grad_norm: [passes]}"),

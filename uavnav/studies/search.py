@@ -135,9 +135,10 @@ def _check(found: Plan, algorithm: str) -> None:
         raise ConfigError(
             f"space: {algorithm}={space}; give settings with the names of their ranges, as lr: rate"
         )
-    for setting, name in space.items():
+    for setting in space:
         if not isinstance(setting, str) or setting in studies.OF_CONFIGURATIONS:
-            raise unknown_key(str(setting), found.defaults(algorithm))
+            raise unknown_key(str(setting), ALGORITHMS[algorithm].config.names())
+    for setting, name in space.items():
         if not isinstance(name, str) or name not in found.said["ranges"]:
             raise unknown("range", name, found.said["ranges"])
         values = found.range(algorithm, setting)

@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -169,13 +170,27 @@ class Flat(Layer):
         return x.flatten()
 
 
+class Shared(Layer):
+    """Its one parameter is of no agent."""
+
+    def __init__(self, units, generators):
+        super().__init__(units, generators)
+        self.slope = nn.Parameter(torch.ones(1))
+
+    def forward(self, x):
+        return x * self.slope
+
+
 @pytest.mark.parametrize(
     ("entry", "says"),
     [
         (Flat, r"\[0, 1, 8\] became \[0, 1, 0\]"),
         (nn.ReLU, "takes from 1 to 2"),
         (lambda x: x.sum(-1), "became"),
-        (lambda x: x.numpy(), "it gave a ndarray"),
+        (lambda x: x.detach().numpy(), "it gave a ndarray"),
+        (lambda x: torch.from_numpy(np.tanh(x.detach().numpy())), "requires_grad=False"),
+        (lambda x: x.double(), "torch.float32 became torch.float64"),
+        (Shared, r"layer.slope \[1\] is not led by 0 agents"),
     ],
 )
 def test_what_cannot_be_an_activation_is_one_line_that_says_what_can(entry, says, monkeypatch):

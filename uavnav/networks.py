@@ -180,12 +180,19 @@ class Activation(nn.Module):
             if isinstance(entry, type):
                 self.layer = layer = entry(units, generators)
                 self.parallel = layer.parallel
-            given = torch.zeros(len(generators), 1, self.parallel * units)
-            if not isinstance(found := self(given), Tensor):
+            given = torch.zeros(len(generators), 1, self.parallel * units, requires_grad=True)
+            with torch.enable_grad():
+                found = self(given)
+            if not isinstance(found, Tensor):
                 raise TypeError(f"it gave a {type(found).__name__}")
             *rows, self.width = found.shape  # the width that the next layer sees
             if rows != [*given.shape[:-1]] or not self.width:
                 raise ValueError(f"{[*given.shape]} became {[*rows, self.width]}")
+            if found.dtype != given.dtype or not found.requires_grad:
+                raise ValueError(f"{given.dtype} became {found.dtype}, requires_grad={found.requires_grad}")
+            for parameter, one in self.named_parameters():
+                if one.shape[:1] != given.shape[:1]:
+                    raise ValueError(f"{parameter} {[*one.shape]} is not led by {len(generators)} agents")
         except Exception as error:  # a caller's activation may raise any kind
             raise ConfigError(
                 f"activation={name}: {telling_line(error)}; give a function of a tensor that changes at most "

@@ -248,8 +248,13 @@ def test_a_ladder_says_first_that_2_episodes_are_a_sketch_and_how_long_it_will_t
     out, err = capsys.readouterr()
     assert "95 % intervals over 2 episodes, a sketch" in " ".join(out.split())
     sketch, long = err.splitlines()
-    assert sketch == "2 episodes a rung are a sketch; give 20 or more for intervals to trust"
+    assert sketch == "--episodes 2 is a sketch; give 20 or more for intervals to trust"
     assert re.fullmatch(r"about \d+ s more, as the first rung took: 24 episodes on 4 rungs", long)
+
+
+def test_orca_senses_velocities_across_a_ladder_too(tmp_path):
+    words = ["evaluate", "orca", "--task", "moving", "--across", "speed", "--alone", "--episodes", "1"]
+    assert main([*words, "--max-steps", "5", "--out", str(tmp_path)]) == 0
 
 
 def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_episodes_out():

@@ -355,6 +355,14 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings_and
             "obstacles=[1000000000]; give a list of numbers of obstacles",
         ),
         (
+            "scripted: [vfh]\nconfigurations: [{algorithm: ppo}]",
+            "scripted=['vfh']; name at least one, and give a scripted_folder too",
+        ),
+        (
+            "scripted: []\nscripted_folder: home\nconfigurations: [{algorithm: ppo}]",
+            "scripted=[]; name at least one, and give a scripted_folder too",
+        ),
+        (
             "scripted: [vfh, rrt]\nconfigurations: [{algorithm: ppo}]",
             "scripted=['vfh', 'rrt']; give a list of some of random, straight",
         ),

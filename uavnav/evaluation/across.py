@@ -20,6 +20,7 @@ from rich.table import Table
 from uavnav import stats, style
 from uavnav.colours import PILOTS, colours
 from uavnav.evaluation import check_bounds, fitted, fly_modes, rows_across, summary
+from uavnav.evaluation.scripted import task_of
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics
 from uavnav.runs.lately import span
@@ -249,7 +250,7 @@ def across(
     if alone:
         flyers = [one.as_trained() for one in flyers]
     trained_in = next((one.task for one in flyers if one.task is not None), None)
-    scripted = make_task(EMPTY, task=task) if trained_in is None else trained_in.replace(stack=1)
+    scripted = task_of(task) if trained_in is None else trained_in.replace(stack=1)
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
     folder = out or next((one.run.path for one in flyers if one.run is not None), Path())
     check_out(folder / "across.svg")
@@ -275,7 +276,7 @@ def across(
         tell(f"time limits differ ({each}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
     if not quiet and episodes < SKETCH:
-        tell(f"{episodes} episodes a rung are a sketch; give {SKETCH} or more for intervals to trust")
+        tell(f"--episodes {episodes} is a sketch; give {SKETCH} or more for intervals to trust")
     flown = {one.name: episodes * sum(map(len, one.modes.values())) for one in flyers}
     rungs = sum(len(LADDERS[name].rungs) for name in climbed)
 

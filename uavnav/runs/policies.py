@@ -242,7 +242,7 @@ def each_policy(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> I
         raise PolicyError(f"{path}: contains no seed; give the policy of a finished run")
     seeds = header.seeds if seeds is None else seeds
     if unknown := [seed for seed in seeds if seed not in header.seeds]:
-        choices = f"{header.seeds[0]} ... {header.seeds[-1]}"
+        choices = " ... ".join(map(str, dict.fromkeys((header.seeds[0], header.seeds[-1]))))
         raise PolicyError(f"{path}: seed={unknown[0]} is not there; choose from {choices}")
     sizes, weights = _network(path, header, tensors, str(head), task)
     _warn_of_changed_plugins(path, header)

@@ -158,6 +158,8 @@ def _study(name: str, said: Any) -> Study:
     named = said.get("scripted", USUAL)
     if not isinstance(named, list | tuple) or not all(among(one, SCRIPTED) for one in named):
         raise ConfigError(f"scripted={told(named)}; give a list of some of {', '.join(SCRIPTED)}")
+    if "scripted" in said and (home is None or not named):
+        raise ConfigError(f"scripted={told(named)}; name at least one, and give a scripted_folder too")
     what, tune, draw = one_line(said.get("what", name)), said.get("tune"), said.get("draw")
     return Study(name, what, [*dict.fromkeys(obstacles)], settings, entries, tune, home, draw, named)
 

@@ -166,8 +166,8 @@ def orca(
     """
     if not getattr(world, "sense_velocity", False):
         raise ConfigError(
-            "orca: no velocities are in this task's observation; give --task moving, or compare it with a run "
-            "of task=moving world.sense_velocity=true"
+            "orca: no velocities are in this task's observation; give --task moving, or compare it with "
+            "a run of task=moving world.sense_velocity=true"
         )
     slots, (goal, away) = seen(observation, world), target(observation, world)
     wish = goal * away.clamp(max=world.distances[-1])[..., None]

@@ -249,9 +249,10 @@ MEASURED = """
 |  | frames/s | 1 M frames | per seed | peak [GB] |
 | --- | --: | --: | --: | --: |
 | PPO, uavnav, 1 seed | 20,000 | 0:00:50 | 0:00:50 | 0.61 |
-| PPO, uavnav, 10 seeds | 65,000 | 0:02:44 | 0:00:16 | 1.32 |
+| PPO, uavnav, 10 seeds | 15,000 | 0:11:07 | 0:01:07 | 1.21 |
+| PPO, uavnav, 10 seeds in 16 environments | 65,000 | 0:02:44 | 0:00:16 | 1.32 |
 | PPO, SB3 | 1,800 | 0:09:00 | 0:09:00 | 0.45 |
-| SAC, uavnav, 10 seeds | 9,000 | 0:20:00 | 0:02:00 | 2.5 |
+| SAC, uavnav, 10 seeds in 64 environments | 9,000 | 0:20:00 | 0:02:00 | 2.5 |
 
 |  | frames | must be | peak [GB] |
 | --- | --: | --: | --: |

@@ -49,7 +49,7 @@ def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
         for first, *cells in rows if MEMORY in head else []:
             algorithm, _, who = first.lower().partition(", ")
             row = dict(zip(head[1:], cells, strict=True))
-            if TIME in row and who == TEN:
+            if TIME in row and who.startswith(TEN):  # the last: in many environments
                 times[algorithm], memory[algorithm] = row[TIME], row[MEMORY]
             elif algorithm in times and not who:  # of full buffers
                 memory[algorithm] = row[MEMORY]

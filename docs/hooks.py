@@ -35,10 +35,14 @@ GENERATED = "results/"
 LINK = re.compile(r"(?<!!)\[([^][]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
 
 
-REPORT, FIRST = "report/", "<!-- first -->"
-"""Where the report is on the site, and where a page shows its first screen."""
+REPORT = "report/"
+"""Where the report is on the site."""
+SHOWN = re.compile(r"<!-- (first|together) -->")
+"""Where a page shows the report's first screen, and its episodes side by side."""
 PARTS = ("report.html", "preview.png", "figures/*.png", "tables/*.csv")
 """What the site contains of a folder of results."""
+LIMITATIONS = "../docs/limitations.md", "../limitations.html"
+"""A link of the report, and what it is on the site."""
 OF_REPORT = re.compile(r"\]\(\.\./results/(report\.html(?:#[\w-]+)?|figures/[\w-]+\.png)\)")
 ROW = re.compile(r"\]\(\.\./results/tables/(\w+)\.csv(?:#L(\d+))?\)")
 """A number that stands in a table: a row of the report's page, where it has that row."""
@@ -57,9 +61,12 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
         files.append(File.generated(config, f"{name}.md", content=page_of(Path(notebook.abs_src_path))))
     root = Path(config.config_file_path).parent / GENERATED
     for path in sorted(path for pattern in PARTS for path in root.glob(pattern)):
-        files.append(
-            File.generated(config, REPORT + path.relative_to(root).as_posix(), abs_src_path=str(path))
-        )
+        where = REPORT + path.relative_to(root).as_posix()
+        if path.suffix == ".html":
+            page = path.read_text(encoding="utf-8").replace(*LIMITATIONS)
+            files.append(File.generated(config, where, content=page))
+        else:
+            files.append(File.generated(config, where, abs_src_path=str(path)))
     if live := flown(Path(config.config_file_path).parent / GENERATED / "vectorised"):
         files.append(File.generated(config, FLY, content=live))
     return files
@@ -127,18 +134,17 @@ def _row(number: re.Match[str], rows: set[str]) -> str:
     return f"]({REPORT}report.html#{name})" if name in rows else number[0]
 
 
-def first_screen(report: Path) -> str:
-    """The first screen of a report's page, with its looks and scripts; nothing where there is none."""
+def parts_of(report: Path, name: str) -> str:
+    """The parts of a report's page with this mark, with their looks and scripts; nothing without a page."""
     if not report.exists():
         return ""
     page = report.read_text(encoding="utf-8")
-    screen = (
-        page.partition(FIRST)[2]
-        .partition("<!-- end of first -->")[0]
-        .replace('href="#row-', f'href="{REPORT}report.html#row-')
-    )
+    parts = "".join(re.findall(f"<!-- {name} -->(.*?)<!-- end of {name} -->", page, re.DOTALL))
+    parts = parts.replace('href="#row-', f'href="{REPORT}report.html#row-')
+    if name == "first":
+        return f"<style>{browser.joined([browser.HERE / 'first.css'])}</style>{parts}"
     scripts = page.partition("</footer>")[2].partition('<script type="application/json" id="replay-data">')[0]
-    return f"<style>{browser.joined([browser.HERE / 'first.css'])}</style>{screen}{scripts}"
+    return parts + scripts
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
@@ -158,12 +164,11 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
 
 
 def on_page_content(html_of_page: str, config: Any, **_: Any) -> str:
-    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves; the first screen
-    is put in.
+    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves; the report's parts
+    are put in.
     """
-    if FIRST in html_of_page:
-        root = Path(config.config_file_path).parent / GENERATED
-        html_of_page = html_of_page.replace(FIRST, first_screen(root / "report.html"))
+    report = Path(config.config_file_path).parent / GENERATED / "report.html"
+    html_of_page = SHOWN.sub(lambda mark: parts_of(report, mark[1]), html_of_page)
 
     def mathml(found: re.Match[str]) -> str:
         tex = html.unescape(found[2]).strip()

@@ -1,5 +1,5 @@
-"""The first screen of the committed report in a real browser: a sentence, drones that fly by themselves,
-one figure.
+"""The first screen of the committed report in a real browser: a sentence and five findings; below them the
+table of rewards, the forest plot and the table of claims, and then drones that fly by themselves.
 """
 
 import time
@@ -42,14 +42,14 @@ def visit(browser, width=WIDE, height=800, motion="reduce", colours="light"):
 
 
 @pytest.mark.parametrize(("width", "height"), SCREENS)
-def test_sentence_three_drones_and_figure_lie_within_the_first_screen(chrome, width, height):
+def test_the_sentence_and_five_findings_lie_within_a_wide_screen_and_begin_a_narrow_one(
+    chrome, width, height
+):
     visit(chrome, width, height)
-    seen = find(
-        chrome,
-        "h1, .together canvas, .together figcaption, .together button, #figure-configurations-episodes img",
-    )
-    assert len(seen) == 1 + 3 + 3 + 1 + 1
-    for element in seen:
+    seen = find(chrome, "h1, .findings li")
+    assert len(seen) == 1 + 5
+    assert seen[0].tag_name == "h1"
+    for element in seen if width == WIDE else seen[:3]:
         box = element.rect
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= width
@@ -57,6 +57,21 @@ def test_sentence_three_drones_and_figure_lie_within_the_first_screen(chrome, wi
         assert box["y"] + box["height"] <= height
         assert min(box["width"], box["height"]) > 15
     assert complaints(chrome) == []
+
+
+def test_rewards_forest_and_claims_follow_the_findings_and_drones_and_other_figures_come_after(chrome):
+    visit(chrome)
+    parts = "h1, .findings, caption, .plot, .claim, .together"
+    shown = [
+        element.get_attribute("id") or element.get_property("textContent") for element in find(chrome, parts)
+    ]
+    assert shown[2].startswith("Reward per episode: the paper's one run")
+    assert shown[3] == "figure-forest"
+    assert shown[4].startswith("The paper's claims: a grade in each of four columns")
+    assert shown[5] == "claim-1"
+    assert shown.index("claim-16") < shown.index("together") < shown.index("figure-configurations-episodes")
+    assert one(chrome, ".first table").rect["y"] < one(chrome, "#figure-forest").rect["y"]
+    assert one(chrome, "#verdicts .lead a[href$='limitations.md']").is_displayed()
 
 
 def test_the_drones_fly_without_a_click_and_a_button_stops_them(chrome):
@@ -101,7 +116,8 @@ def test_the_palette_of_a_site_recolours_the_drones(chrome):
     visit(chrome)
     before = chrome.execute_script(PICTURES)
     chrome.execute_script(
-        "document.querySelector('.first').style.cssText = '--drone-1: red; --drone-2: red; --drone-3: red';"
+        "document.querySelector('.together').style.cssText ="
+        " '--drone-1: red; --drone-2: red; --drone-3: red';"
         "document.body.setAttribute('data-md-color-scheme', 'slate')"
     )
     wait(chrome, lambda: all(a != b for a, b in zip(chrome.execute_script(PICTURES), before, strict=True)))

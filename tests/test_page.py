@@ -171,14 +171,12 @@ def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(brow
 
 
 @pytest.mark.parametrize("width", [WIDE, NARROW])
-def test_the_findings_of_the_committed_page_follow_the_first_screen_and_each_number_is_a_link_on_one_line(
-    browser, width
-):
+def test_the_findings_of_the_committed_page_come_first_and_each_number_is_a_link_on_one_line(browser, width):
     browser.get((RESULTS / "report.html").as_uri())
     resize(browser, width)
     shown = find(browser, ".findings li")
     assert len(shown) == 5
-    assert shown[-1].rect["y"] + shown[-1].rect["height"] < (1400 if width == WIDE else 2200)
+    assert shown[-1].rect["y"] + shown[-1].rect["height"] < (800 if width == WIDE else 1400)
     assert shown[-1].rect["y"] < one(browser, ".claim").rect["y"]
     for one_finding in shown:
         links = one_finding.find_elements(By.CSS_SELECTOR, "a")
@@ -197,6 +195,7 @@ def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_withou
     for claim in claims:
         assert claim.get_property("open") is False
         badge = claim.find_element(By.CSS_SELECTOR, "summary .badge")
+        assert re.fullmatch(r".* \((training|final|other).*\)", badge.text)  # the column of its grade
         assert badge.text.split(" (")[0] in GRADES
         sign = browser.execute_script("return getComputedStyle(arguments[0], '::before').content", badge)
         assert dict(zip(GRADES, "✓◐↓✗?i", strict=True))[badge.text.split(" (")[0]] in sign
@@ -350,7 +349,7 @@ def test_tab_reaches_navigation_claims_folds_and_player_in_order_with_an_outline
         assert (style, width >= 2) == ("solid", True), name
         reached.append((inside, name))
     kinds = [kind for kind, _ in itertools.groupby(inside for inside, _ in reached)]
-    order = [kinds.index(kind) for kind in ("skip", "together", "", "claim", "replay")]
+    order = [kinds.index(kind) for kind in ("skip", "", "claim", "first together", "replay")]
     assert order == sorted(order)
     folds = [name.split()[0] for _, name in reached if name.startswith("SUMMARY")]
     assert len(folds) >= len(CLAIMS) + len(SHOWN) - 1

@@ -97,15 +97,20 @@ def test_the_playground_of_the_committed_runs_is_a_page_and_two_pages_lead_to_it
 
 def test_the_front_page_is_the_reports_first_screen_and_its_number_leads_to_the_row(site):
     report = (ROOT / "results" / "report.html").read_text()
-    screen = report.partition("<!-- first -->")[2].partition("<!-- end of first -->")[0]
+    screen = "".join(re.findall(r"(?s)<!-- first -->(.*?)<!-- end of first -->", report))
     sentence = re.search(r"<h1>(.*?)<a ", screen)[1]
     assert sentence in site["index.html"]
-    assert site["index.html"].count("<canvas role") == screen.count("<canvas role") == 3
+    assert site["index.html"].count("<li>PPO") == screen.count("<li>PPO") == 2
+    assert site["index.html"].count("the paper, 1 run</th>") == screen.count("the paper, 1 run</th>") == 1
+    assert site["index.html"].count("<canvas role") == report.count("<canvas role") - 2 == 3
     assert 'new Together(document.getElementById("together")' in site["index.html"]
     row = re.search(r'href="?report/report\.html#(row-verdicts-\d+)', site["index.html"])[1]
     assert f'id="{row}"' in report
     assert re.search(r'href="?report/report\.html#row-verdicts-\d+', site["results.html"])
-    assert site["report/report.html"] == report
+    link = "../docs/limitations.md", "../limitations.html"
+    assert report.count(link[0]) == 1
+    assert site["report/report.html"] == report.replace(*link)
+    assert Path(link[1]).name in site
     assert re.search(r'href="?report/report\.html"?>the report as one page', site["results.html"])
     pictures = (ROOT / "docs" / "results.md").read_text().count("![")
     assert len(re.findall(r'src="?report/figures/', site["results.html"])) == pictures > 1

@@ -18,7 +18,8 @@ class Row(NamedTuple):
     number: int
     sentence: str  # of the paper
     note: str
-    grade: str  # in the column that its sentence is about
+    column: str  # that its sentence is about
+    grade: str  # in that column
     grades: dict[str, str]  # by column, with the seeds; a dash where it cannot answer
     said: str  # what our seeds say, in Markdown
     parts: dict[str, tables.Rows]  # by column that answers
@@ -38,7 +39,7 @@ def rows(content: Content) -> list[Row]:
             parts[column] = tables.listed(judged[judged["column"] == column], "verdicts")
             own = one["grade"] if column == claim.column else own
         said = content.said[f"claim_{claim.number}"] or _generic(judged[judged["column"] == claim.column])
-        found.append(Row(claim.number, claim.sentence, claim.note, own, graded, said, parts))
+        found.append(Row(claim.number, claim.sentence, claim.note, claim.column, own, graded, said, parts))
     return found
 
 

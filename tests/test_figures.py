@@ -239,7 +239,7 @@ def test_one_seed_gives_a_line_and_no_band():
 
 def test_a_configuration_without_an_episode_is_said_beside_one_that_has_some():
     shown = drawn({"tanh": trained([]), "relu": trained([1.0])})
-    assert "tanh no data; relu 1.00 (n = 1)" in shown.alt
+    assert "tanh no data; ReLU 1.00 (n = 1)" in shown.alt
     style.png(shown.figure)
 
 
@@ -286,7 +286,7 @@ def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
     rows = {"PPO tanh": np.array([2.0, np.nan]), "PPO relu": np.array([np.nan]), "PPO sigmoid": np.array([])}
     drawn = charts.intervals(rows, {}, "reward")
     assert (
-        drawn.alt == "reward, mean over seeds: PPO tanh 2.00 (n = 1); PPO relu no data; PPO sigmoid no data."
+        drawn.alt == "reward, mean over seeds: PPO tanh 2.00 (n = 1); PPO ReLU no data; PPO sigmoid no data."
     )
     assert not any(line.get_linewidth() == 2.4 for line in drawn.figure.axes[0].lines)
 
@@ -338,7 +338,7 @@ def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
     assert first.get_aspect() == 1.0
     assert drawn.alt == (
         "Paths of drones, sampled, and their steps on layouts 0, 2: "
-        "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 no crash, 5 no crash."
+        "PPO tanh, seed 0: 2 crash, 5 crash; DQN ReLU, seed 0: 2 no crash, 5 no crash."
     )
 
 
@@ -365,13 +365,13 @@ def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apar
     means = {one: paper.printed("dqn", one, "reward", per_frame=True) for one in paper.ACTIVATIONS}
     (axes,) = charts.curves({one: trained([0.0], [1.0]) for one in means}, means).figure.axes
     named = {text.get_text(): text.xyann for text in axes.texts}
-    assert set(named) == {"tanh -0.0438", "sigmoid -0.0268", "relu -0.037", "leaky_relu -0.0353"}
+    assert set(named) == {"tanh -0.0438", "sigmoid -0.0268", "ReLU -0.037", "leaky ReLU -0.0353"}
     heights = sorted(place for _, place in named.values())
     assert np.diff(heights).min() > 0.054
     assert {place for place, _ in named.values()} == {1.06}
 
 
-def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
+def test_the_figure_of_test_episodes_shows_the_means_and_intervals_of_the_table_of_gaps():
     gaps = pd.DataFrame(
         [
             ("PPO tanh", "sampled", 10_000, 2, 4.0, -1.5, 9.5),
@@ -379,7 +379,7 @@ def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
         ],
         columns=["who", "mode", "limit", "n", "reward", "low", "high"],
     )
-    figure = figures._first({"PPO tanh": np.array([3.0, 5.0])}, gaps)
+    figure = figures._tested({"PPO tanh": np.array([3.0, 5.0])}, gaps)
     assert figure.drawn.alt == "reward per test episode: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
     assert "after 10,000 steps" in figure.caption
 

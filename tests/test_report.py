@@ -298,6 +298,8 @@ def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_l
     found = configuration.curve
     assert found.index.tolist() == [(place + 0.5) * width for place in range(BINS)]
     assert found[0].tolist() == pytest.approx([30 / 40] + [0.5] * 24)
+    # by Stable-Baselines3's log, of which the first episode ends with the first bin
+    assert configuration.logged[0].tolist() == pytest.approx([float("nan")] + [30.0] * 24, nan_ok=True)
     assert found[1].tolist() == [0.0] * BINS
 
 

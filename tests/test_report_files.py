@@ -224,7 +224,7 @@ def test_a_third_algorithm_has_its_figures_and_replays(whole):
     drawn = {figure.name: figure for figure in content.figures}
     assert "as the paper's" not in drawn["curves-a2c-reward"].caption
     assert drawn["curves-ppo-reward"].caption.startswith("PPO, as the paper's Figure 5: reward")
-    assert "the paper's mean -0.0438" in drawn["curves-dqn-reward"].drawn.alt
+    assert "the paper's mean -6.98" in drawn["curves-dqn-reward"].drawn.alt
     for name in ("configurations-reward", "trajectories", "heat", "survival"):
         assert "A2C" in drawn[name].drawn.alt, name
     shown = {

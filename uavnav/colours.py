@@ -1,4 +1,7 @@
-"""One colour for one pilot, in figures, films, pages and the playground; safe for colour-blind readers."""
+"""One colour for one pilot, in figures, films, pages and the playground; safe for colour-blind readers.
+
+And how activations are spelled there.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ PILOTS = {"you": "#E69F00", "ppo": "#0072B2", "dqn": "#D55E00", **dict.fromkeys(
 """By who flies: a person, an algorithm's policy, a scripted policy."""
 OTHERS = ("#CC79A7", "#56B4E9", "#000000", "#882255", "#999933")
 """Of further pilots, in their order: Okabe and Ito's without the yellow, then Paul Tol's wine and olive."""
+NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "leaky ReLU", "crelu": "CReLU"}
+"""Activations in words."""
 
 
 def colours(pilots: Iterable[str]) -> list[str]:

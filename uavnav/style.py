@@ -83,8 +83,11 @@ STYLE: dict[RcKeyType, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "uavnav",
 }
-WIDTH, NARROW, FULL = 8.0, 5.0, 12.3
-"""Of a figure on a page, on a phone, and as wide as a page [inches]; letters are as large on all."""
+WIDTH, NARROW = 8.0, 5.0
+"""Of a figure on a page and on a phone [inches]; letters are as large on both."""
+
+
+_NAMES = re.compile(rf"(?<![\w/-])({'|'.join(colours.NAMES)})(?![\w/-])")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,9 @@ class Drawn:
 
     figure: Figure
     alt: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "alt", spelled(self.alt))
 
     @functools.cached_property
     def svg(self) -> bytes:
@@ -187,7 +193,14 @@ def nothing(title: str) -> Drawn:
     return Drawn(figure, f"{title}: no data.")
 
 
+def spelled(words: str) -> str:
+    """Activations as prose writes them, where a name stands by itself."""
+    return _NAMES.sub(lambda found: colours.NAMES[found[0]], words)
+
+
 def legend(figure: Figure, handles: Sequence[Any], columns: int = 2) -> None:
+    for handle in handles:
+        handle.set_label(spelled(str(handle.get_label())))
     if any(len(str(handle.get_label())) > 38 for handle in handles):
         columns = 1
     if figure.get_figwidth() < WIDTH:
@@ -242,7 +255,7 @@ def wrapped(name: str) -> str:
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
     """Name a chart's rows, from the top."""
-    axes.set_yticks(range(len(names)), list(map(wrapped, names)))
+    axes.set_yticks(range(len(names)), [wrapped(spelled(name)) for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")

@@ -62,7 +62,7 @@ def trajectories(
             axes.set_xlabel(f"{len(path)} steps" if len(path) else "no episode", fontsize=11, labelpad=2)
             ends.append(f"{len(path)} {'crash' if crashed else 'no crash'}" if len(path) else "no episode")
         seeds = f", seed {rows['seed'].iloc[0]}" if len(rows) else ""
-        title = [*textwrap.wrap(name, int(9 * width) // len(one)), seeds[2:]]
+        title = [*textwrap.wrap(style.spelled(name), int(9 * width) // len(one)), seeds[2:]]
         column[0].set_title("\n".join(title), fontsize=11)
         said.append(f"{name}{seeds}: {', '.join(ends)}")
     for axes, layout in zip(panels[:, 0], layouts, strict=True):

@@ -21,7 +21,7 @@ from scipy import special
 
 from uavnav import stats, style
 from uavnav.report.configurations import Configuration
-from uavnav.runs.definitions import PER_FRAME, words
+from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, words
 from uavnav.stats import Array, Interval
 
 
@@ -100,8 +100,8 @@ def episodes(
     order = sorted(values, key=lambda name: -values[name])
     small = max(map(abs, values.values())) < 100
     numbers = [style.number(values[name]) if small else f"{values[name]:,.0f}" for name in order]
-    shown = [name.replace("leaky_relu", "leaky relu") for name in order]
-    named = [style.wrapped(f"{name}  {number}") for name, number in zip(shown, numbers, strict=True)]
+    spelled = [style.spelled(name) for name in order]
+    named = [style.wrapped(f"{name}  {number}") for name, number in zip(spelled, numbers, strict=True)]
     lines = 1 + max(name.count("\n") for name in named)
     figure = Figure(figsize=(width, 0.24 * lines * len(order) + 0.55), layout="constrained")
     axes, said = figure.subplots(), []
@@ -163,7 +163,7 @@ def switched(
             marker, colour = SWITCHED[bool(on)]
             at = part[row].map(rows.index) + (0.15 if on else -0.15)
             axes.errorbar(part["value"], at, xerr=errors(part), fmt=marker, color=colour, capsize=3)
-        style.name_rows(axes, [name.replace("_", " ") for name in rows])
+        style.name_rows(axes, [style.spelled(name).replace("_", " ") for name in rows])
         axes.set(title=title, xlabel=axis)
     looks = [(*SWITCHED[bool(on)], label) for on, label in words.items()]
     style.legend(figure, [style.mark(mark, label, markerfacecolor=one) for mark, one, label in looks])
@@ -222,13 +222,14 @@ def curves(
     width: float = style.WIDTH,
     looks: Mapping[str, tuple[str, str]] | None = None,
     scripted: float = np.nan,
+    definition: str = PER_FRAME,
 ) -> style.Drawn:
-    """Learning curves as the paper's figures 4 and 5: a line and a band each, the paper's mean dashed.
+    """Learning curves: a line and a band each, the paper's mean dashed; its figures 4 and 5 by `LOG_CURVE`.
 
     configurations: by label; printed: the paper's mean by label; width: [inches]; looks: a colour and a line
     by label, or else by activation; scripted: what the scripted policy earns per frame.
     """
-    metric = words("reward", PER_FRAME)
+    metric = words("reward", definition)
     title = f"{title}{metric} in training"
     if not any(len(one.episodes) for one in configurations.values()):
         return style.nothing(title)
@@ -236,7 +237,8 @@ def curves(
     ends = []
     looks = looks or style.of_activations(configurations)
     for name, configuration in configurations.items():
-        line, (colour, dashes) = band(configuration.curve), looks[name]
+        seeds = configuration.logged if definition == LOG_CURVE else configuration.curve
+        line, (colour, dashes) = band(seeds), looks[name]
         legend = textwrap.fill(f"{name}, n = {configuration.n_seeds}", 50)
         axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=1.8, label=legend)
         _shade(axes, line, colour)
@@ -274,7 +276,7 @@ def _name_dashes(axes: Axes, printed: Mapping[str, float], looks: Mapping[str, t
         means, _apart([(mean - low) / (high - low) for mean, _ in means], 0.055), strict=True
     ):
         axes.annotate(
-            f"{name} {style.number(mean)}",
+            f"{style.spelled(name)} {style.number(mean)}",
             (1, mean),
             (1.06, place),
             xycoords=axes.get_yaxis_transform(),

@@ -9,7 +9,7 @@ import functools
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from uavnav.runs.definitions import (
     PER_FRAME,
     TOTALS,
     as_logged,
+    last_hundred,
     per_frame,
     within,
 )
@@ -73,8 +74,16 @@ class Configuration:
     @functools.cached_property
     def curve(self) -> pd.DataFrame:
         """Reward per frame in each of `BINS` stretches of training (index: its middle) and of each seed."""
+        return self._stretched(lambda windows: windowed(self, windows))
+
+    @functools.cached_property
+    def logged(self) -> pd.DataFrame:
+        """Reward per episode there as Stable-Baselines3 logs it."""
+        return self._stretched(lambda windows: last_hundred(self.episodes, "reward", windows))
+
+    def _stretched(self, read: Callable[[Sequence[tuple[float, float]]], pd.DataFrame]) -> pd.DataFrame:
         edges = np.linspace(0, self.settings["frames"], BINS + 1)
-        return windowed(self, [*itertools.pairwise(edges)]).T.set_axis((edges[:-1] + edges[1:]) / 2)
+        return read([*itertools.pairwise(edges)]).T.set_axis((edges[:-1] + edges[1:]) / 2)
 
 
 def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
@@ -199,9 +208,15 @@ def order(key: Key) -> tuple[int | bool | str, ...]:
     return is_other, known.index(algorithm), algorithm, of_paper.index(activation), activation
 
 
-def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configuration]], str]:
-    """An algorithm's configurations by how each differs from what is usual, in order; and what is usual."""
+def label(
+    configurations: list[Configuration], main: Sequence[Configuration] = ()
+) -> tuple[list[tuple[str, Configuration]], str]:
+    """An algorithm's configurations by how each differs from what is usual, in order; and what is usual.
+
+    main: those of the main study, which say what is usual if there are some.
+    """
     settings = [{key: show(value) for key, value in one.settings.items()} for one in configurations]
+    counted = [own for own, one in zip(settings, configurations, strict=True) if one in main] or settings
     changed = differing(settings)
     changed -= {"total_frames"} if "frames" in changed else set()
     beyond = {
@@ -209,7 +224,7 @@ def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configur
     } - {"layouts"}
     named = [*NAMED, *sorted((changed | beyond).difference(NAMED))]
     usual = {
-        key: Counter(one.get(key) for one in settings).most_common(1)[0][0] for key in named if configurations
+        key: Counter(one.get(key) for one in counted).most_common(1)[0][0] for key in named if configurations
     }
     labelled = []
     for configuration, own in zip(configurations, settings, strict=True):

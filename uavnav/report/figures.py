@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +20,7 @@ from uavnav.report.templating import Figure, sized
 from uavnav.report.verdicts import COUNTS
 from uavnav.report.worlds import Worlds
 from uavnav.runs import paper
-from uavnav.runs.definitions import PER_FRAME, SAMPLED, words
+from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, SAMPLED, words
 from uavnav.stats import Array, Interval
 from uavnav.tasks import layouts
 from uavnav.tasks.protocol import MAX_STEPS
@@ -31,14 +33,20 @@ SHOWN_ACTIVATION = "tanh"
 FURTHER = {
     longer: "Does longer training pay? Reward on test layouts, sampled, at most 10,000 steps: means and"
     " 95 % intervals over seeds. Dashed: the scripted policy.",
-    activations: "Which activation? Reward per 1,000 frames of training: means and 95 % intervals over"
-    " seeds.",
+    activations: "Which activation earns most in training? Reward per 1,000 frames: means and 95 % intervals"
+    " over seeds.",
     horizon: "Does a longer horizon pay? Reward on test layouts, sampled, by frames of training: means"
     " and 95 % intervals over seeds. Dashed: the scripted policy.",
-    learned: "Learned or classical? Reward on test layouts: of PPO's `best` sampled, the mean and 95 %"
-    " interval over seeds; of scripted policies one number, of `random` ten seeds.",
+    learned: "Does learning beat classical policies? Reward on test layouts: of PPO's `best` sampled, the"
+    " mean and 95 % interval over seeds; of scripted policies one number, of `random` ten seeds.",
 }
-"""Captions of further studies."""
+"""Questions and captions of further studies."""
+
+
+def _asked(name: str, section: str, words: str, *args: Any) -> Figure:
+    """A figure whose words begin with its question; args: as `sized` takes them."""
+    question, _, caption = words.partition("? ")
+    return sized(name, section, caption, *args, question=f"{question}?")
 
 
 def draw(
@@ -55,7 +63,7 @@ def draw(
     """
     flown = {key[1:]: table for key, table in episodes.items() if key[0] == "main"}
     found = [
-        _first(frames.rewards(configurations, SAMPLED), numbers["gaps"]),
+        _tested(frames.rewards(configurations, SAMPLED), numbers["gaps"]),
         _forest(numbers["verdicts"]),
         *_curves(configurations),
         _training(frames.rewards(configurations, PRIMARY), numbers["gaps"]),
@@ -65,13 +73,13 @@ def draw(
     ]
     if of_worlds and len(climbed := worlds.ladder(of_worlds, "density")):
         caption = (
-            "The density ladder: policies trained in the paper's task, means over activations with Welch's"
-            " 95 % intervals over seeds. Dotted and dashed: scripted policies."
+            "Does DQN catch up among more obstacles? Policies trained in the paper's task, means over"
+            " activations with Welch's 95 % intervals over seeds. Dotted and dashed: scripted policies."
         )
-        found.append(sized("worlds-density", "worlds", caption, worlds.figure, climbed, "density"))
+        found.append(_asked("worlds-density", "worlds", caption, worlds.figure, climbed, "density"))
     for one, caption in FURTHER.items():
         if one.STUDY in numbers:
-            found.append(sized(one.STUDY, one.STUDY, caption, one.figure, numbers[one.STUDY]))
+            found.append(_asked(one.STUDY, one.STUDY, caption, one.figure, numbers[one.STUDY]))
     return found
 
 
@@ -90,7 +98,7 @@ def _forest(verdicts: pd.DataFrame) -> Figure:
         "below 0 the other way round. Bars: 95 % intervals over seeds, adjusted within a claim; arrows go on."
         " Grey: the paper's effect is too small for so many seeds."
     )
-    return sized("forest", "verdicts", caption, charts.forest, table)
+    return _asked("forest", "verdicts", caption, charts.forest, table)
 
 
 def _of_reactive(gaps: pd.DataFrame, column: str) -> float:
@@ -102,19 +110,19 @@ def _curves(configurations: Configurations) -> list[Figure]:
     found = []
     for algorithm in dict.fromkeys([*paper.TABLE_OF, *algorithms(configurations)]):
         mine = {key[1]: one for key, one in configurations.items() if key[0] == algorithm}
-        printed = {one: paper.printed(algorithm, one, "reward", per_frame=True) for one in mine}
+        printed = {one: paper.printed(algorithm, one, "reward") for one in mine}
         number = paper.CURVES_OF.get(algorithm)
         beside = f", as the paper's Figure {number}" if number else ""
         dashed = "; dashed: the paper's mean" if number else ""
         caption = (
-            f"{algorithm.upper()}{beside}:"
-            f" {words('reward', PER_FRAME)} in each stretch of training, of all seeds and episodes, open ones"
-            " too. Line: mean over seeds; band: its 95 % interval over seeds"
-            f"{dashed}."
+            f"Does {algorithm.upper()} keep what it earns? {algorithm.upper()}{beside}: reward per episode by"
+            " Stable-Baselines3's log, a running mean of 100 episodes. Line: mean over seeds; band: its 95 %"
+            f" interval over seeds{dashed}."
         )
         known = {name: mean for name, mean in printed.items() if np.isfinite(mean)}
         args = mine, known, f"{algorithm.upper()}: "
-        found.append(sized(f"curves-{algorithm}-reward", "curves", caption, charts.curves, *args))
+        draw_log = functools.partial(charts.curves, definition=LOG_CURVE)
+        found.append(_asked(f"curves-{algorithm}-reward", "curves", caption, draw_log, *args))
     return found
 
 
@@ -122,17 +130,16 @@ def _training(rewards: Mapping[str, Array], gaps: pd.DataFrame) -> Figure:
     """Configurations side by side by their reward in training, a number a seed [S] each."""
     earned = _of_reactive(gaps, "per_frame")
     printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
-    caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
+    caption = "Which configuration earns most in training? "
+    caption += f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
     if np.isfinite(earned):
         caption += f" Dashed: the scripted policy `{REACTIVE}` on the test layouts."
     args = rewards, printed, words("reward", PRIMARY), earned
-    return sized("configurations-reward", "tables", caption, charts.intervals, *args)
+    return _asked("configurations-reward", "tables", caption, charts.intervals, *args)
 
 
-def _first(rewards: Mapping[str, Array], gaps: pd.DataFrame) -> Figure:
-    """The first screen's figure, as wide as the page: reward of test episodes, a number a seed [S] of each
-    configuration, and the scripted policy's.
-    """
+def _tested(rewards: Mapping[str, Array], gaps: pd.DataFrame) -> Figure:
+    """Reward of test episodes, a number a seed [S] of each configuration, and the scripted policy's."""
     sampled = gaps[gaps["mode"] == MODE]
     known = sampled[sampled["who"].isin(rewards)].set_index("who")[["reward", "low", "high", "n"]]
     rows = {str(who): (rewards[str(who)], Interval(*one)) for who, *one in known.itertuples()}
@@ -140,12 +147,12 @@ def _first(rewards: Mapping[str, Array], gaps: pd.DataFrame) -> Figure:
     limits = sampled["limit"].dropna()
     limit = f" Episodes end at a collision, or after {limits.max():,.0f} steps." if len(limits) else ""
     caption = (
-        "A small dot is the final policy of a training run, a large dot the mean of its row, a bar the mean's"
-        " 95 % interval."
+        "Does any configuration's mean reach the scripted policy? A small dot is the final policy of a"
+        " training run, a large dot the mean of its row, a bar the mean's 95 % interval."
     )
     caption = f"{caption}{limit} The paper: {paper.TITLE}."
     args = rows, looks, _of_reactive(gaps, "reward"), "reward per test episode"
-    return sized("configurations-episodes", "first", caption, charts.episodes, *args, wide=style.FULL)
+    return _asked("configurations-episodes", "baselines", caption, charts.episodes, *args)
 
 
 def _paths(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:
@@ -154,12 +161,13 @@ def _paths(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:
     if not shown:
         return []
     caption = (
-        f"As the paper's Figures {' and '.join(map(str, paper.PATHS))}: the first seed's episodes on"
+        "Does PPO fly longer than DQN?"
+        f" As the paper's Figures {' and '.join(map(str, paper.PATHS))}: the first seed's episodes on"
         f" {len(SHOWN_LAYOUTS)} test layouts, at most {WATCHED_STEPS} steps, as in training (sampled), with"
         f" {SHOWN_ACTIVATION}. The replays below show the others."
     )
     args = shown, layouts.load("test").numpy(), SHOWN_LAYOUTS, World()
-    return [sized("trajectories", "episodes", caption, arena.trajectories, *args)]
+    return [_asked("trajectories", "episodes", caption, arena.trajectories, *args)]
 
 
 def _places(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:
@@ -176,10 +184,11 @@ def _places(flown: Mapping[Key, pd.DataFrame]) -> list[Figure]:
     activations = len({activation for _, activation in flown})
     n = least_to_most((table["seed"].nunique() for table in sampled.values()), "seed")
     caption = (
-        f"Where the drones are on {WATCHED_LAYOUTS} test layouts: share of steps in each square, of every"
+        "Does PPO keep farther from obstacles and walls than DQN?"
+        f" Where the drones are on {WATCHED_LAYOUTS} test layouts: share of steps in each square, of every"
         f" seed and activation alike ({activations} activations, {n} each)."
     )
-    return [sized("heat", "behaviour", caption, arena.heat_maps, maps, World())]
+    return [_asked("heat", "behaviour", caption, arena.heat_maps, maps, World())]
 
 
 def _survival(
@@ -191,7 +200,7 @@ def _survival(
     episodes = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
     episodes |= {style.SCRIPTED_NAME: survival[REACTIVE]} if REACTIVE in survival else {}
     caption = (
-        "Kaplan-Meier, all seeds of a configuration pooled, n of them: a time limit censors an episode, and"
-        " is no collision. Sampled."
+        "How many test episodes last until the time limit? Kaplan-Meier, all seeds of a configuration pooled,"
+        " n of them: a time limit censors an episode, and is no collision. Sampled."
     )
-    return sized("survival", "statistics", caption, charts.survival, episodes, MAX_STEPS)
+    return _asked("survival", "statistics", caption, charts.survival, episodes, MAX_STEPS)

@@ -198,7 +198,7 @@ def markdown(content: Content) -> str:
     shown = [one for one in content.configurations if id(one) not in answered]
     parts = []
     for name in content.paper_tables:
-        part, usual = label([one for one in shown if one.algorithm == name])
+        part, usual = label([one for one in shown if one.algorithm == name], [*content.studies.main.values()])
         parts.append({"name": name, "usual": usual, "table": tables.table(part, name)})
     text = render("report.md", content, sections=parts, bins=BINS)
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

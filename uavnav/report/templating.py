@@ -115,6 +115,7 @@ class Figure(NamedTuple):
     drawn: style.Drawn
     caption: str
     narrow: style.Drawn  # the same, for a phone
+    question: str = ""  # that it answers
 
 
 def sized(
@@ -123,12 +124,12 @@ def sized(
     caption: str,
     draw: Callable[..., style.Drawn],
     *args: Any,
-    wide: float = style.WIDTH,
+    question: str = "",
     **more: Any,
 ) -> Figure:
-    """A figure for a page and for a phone; draw: takes args, more and a `width`; wide: on a page [inches]."""
-    page, phone = (draw(*args, width=width, **more) for width in (wide, style.NARROW))
-    return Figure(name, section, page, caption, phone)
+    """A figure for a page and for a phone; draw: takes args, more and a `width`."""
+    page, phone = (draw(*args, width=width, **more) for width in (style.WIDTH, style.NARROW))
+    return Figure(name, section, page, caption, phone, question)
 
 
 def pictures(figures: Iterable[Figure]) -> dict[str, list[Source]]:

@@ -81,6 +81,8 @@ def test_all_but_a_few_claims_and_all_whys_have_a_sentence_with_a_sign():
 def test_every_claim_question_and_section_has_its_sentence():
     assert {f"claim_{claim.number}" for claim in EVERY} <= {*BLOCKS}
     assert {f"why_{question.name}" for question in whys.QUESTIONS} <= {*BLOCKS}
+    drawn = (path.stem.replace("-", "_") for path in (RESULTS / "figures").glob("*.svg"))
+    assert {f"figure_{name}" for name in drawn} <= {*BLOCKS}
     usual = {f"of_{section}" for section in SECTIONS.keys() - FURTHER.keys()}
     assert usual - {*BLOCKS} == {"of_verdicts", "of_methods", "of_rows"}
 

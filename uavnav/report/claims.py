@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from uavnav.colours import NAMES
 from uavnav.runs import paper
 from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, SAMPLED
 from uavnav.runs.metrics import METRICS
@@ -43,7 +44,6 @@ WHEN = ("before", "surge", "after")
 """The windows of `around_surge`."""
 TIMES = 1.5
 """What counts as "about twice" and "nearly double": at least so many times each other configuration."""
-NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "leaky ReLU"}
 
 PAIR = ("tanh", "relu")
 """Activations of most side studies, the bounded one first."""
@@ -514,8 +514,8 @@ CLAIMS = (
         _penalties_cure(),
         shown=2,
         equal=("algorithm", "activation", "metric"),
-        note="Its design is its own: 10 seeds of 300,000 frames in parallel environments, tanh and ReLU. By"
-        " the paper's words a step without movement is a stop; a full stop has no turn either.",
+        note="Its design is its own: 10 seeds of 300,000 frames in parallel environments, tanh and ReLU. A"
+        " full stop has no turn either.",
     ),
     Claim(
         11,
@@ -559,7 +559,7 @@ DISCUSSION = (
         _order("space", "dqn", "ppo"),
         0,
         ("metric", "study"),
-        "With its defaults, DQN learns nothing in 3D.",
+        "",
         OTHER,
         _fast(_order("space", "dqn", "ppo")),
     ),
@@ -569,7 +569,7 @@ DISCUSSION = (
         _order("space-moving", "sac", "dqn", "ppo"),
         1,
         ("metric", "study"),
-        "With its defaults, SAC is no better there than a random policy.",
+        "",
         OTHER,
         _fast(_order("space-moving", "sac", "dqn", "ppo")),
     ),

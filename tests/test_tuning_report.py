@@ -152,9 +152,9 @@ def test_by_default_an_algorithm_that_was_not_tuned_has_reward_of_its_tanh_in_th
         for which in ("default", "tuned")
     }
     assert found == {
-        ("a2c", "default"): "7.0 [6.0, 8.0]",
-        ("a2c", "tuned"): "9.0 [8.0, 10.0]",
-        ("sac", "default"): "5.0 [4.0, 6.0]",
+        ("a2c", "default"): "[7.0](tables/tuning.csv#L2) [6.0, 8.0]",
+        ("a2c", "tuned"): "[9.0](tables/tuning.csv#L3) [8.0, 10.0]",
+        ("sac", "default"): "[5.0](tables/further.csv#L3) [4.0, 6.0]",
         ("sac", "tuned"): "–",
     }
     assert tables.reward({}, "sac", "default") == "–"

@@ -20,7 +20,7 @@ TEN, TIME, MEMORY = "uavnav, 10 seeds", "1 M frames", "peak [GB]"
 RESULTS, BENCHMARKS = "docs/results.md", "docs/benchmarks.md"
 BLOCKS = {
     "README.md": ("summary.md", "results/"),
-    "docs/algorithms.md": ("choice.md", ""),
+    "docs/algorithms.md": ("choice.md", "../results/"),
     "docs/activations.md": ("activation.md", "../results/"),
     "docs/learned-or-classical.md": ("learned.md", "../results/"),
 }

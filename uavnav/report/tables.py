@@ -14,7 +14,8 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
-from uavnav.report.claims import COMPARED, NAMES
+from uavnav.colours import NAMES
+from uavnav.report.claims import COMPARED
 from uavnav.report.configurations import MODE, Configuration, episodes_of, read_as, show
 from uavnav.report.frames import NUMBERS, REACTIVE, means, name
 from uavnav.report.studies import Configurations
@@ -109,6 +110,16 @@ def listed(frame: pd.DataFrame, name: str) -> Rows:
         shown = (form(one) if callable(form) else fill(form, (), told) for form in columns.values())
         rows.append([cell.replace(f" [{NOTHING}, {NOTHING}]", "") for cell in shown])
     return rows
+
+
+def cited(frame: pd.DataFrame, table: str, column: str) -> Rows:
+    """The same, with a link to its row on the numbers of a column."""
+    head, *rows = listed(frame, table)
+    place = head.index(column)
+    for line, row in zip(frame.index, rows, strict=True):
+        shown, *interval = row[place].partition(" [")
+        row[place] = linked(shown, table, line) + "".join(interval)
+    return [head, *rows]
 
 
 def _across(
@@ -525,11 +536,11 @@ def reward(numbers: Mapping[str, pd.DataFrame], algorithm: str, which: str) -> s
     """Of an algorithm's test episodes with some settings; by default those of tanh, if it was not tuned."""
     tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
     if len(tuned):
-        return _across(tuned, "settings", [which], lambda one: _interval(one, VALUE, 1))[0]
+        return _cited(tuned[tuned["settings"] == which], VALUE, 1, "tuning")
     if which != DEFAULT or "further" not in numbers:
         return NOTHING
     sampled = numbers["further"].query("mode == 'sampled'")
-    return _across(sampled, "who", [name(algorithm, "tanh")], lambda one: _interval(one, REWARD, 1))[0]
+    return _cited(sampled[sampled["who"] == name(algorithm, "tanh")], REWARD, 1, "further")
 
 
 def tried(table: pd.DataFrame) -> Rows:

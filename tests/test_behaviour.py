@@ -100,8 +100,8 @@ def test_who_stands_in_a_corridor_and_flies_elsewhere_flies_through_none():
     """Four steps between two circles, of which one covers 6 px, and one of 2 px in the open."""
     obstacles, inside, outside = all_layouts((300, 300, 40), (500, 300, 40)), (400, 300), (400, 120)
     found = one(table([inside] * 4 + [outside], [0, 0, 0, 6, 2]), obstacles)
-    assert (found["corridor"], found["corridor_flown"]) == pytest.approx((0.8, 0.75))
-    assert math.isnan(one(table([inside], [0]), obstacles)["corridor_flown"])
+    assert (found["corridor"], found["corridor_path"]) == pytest.approx((0.8, 0.75))
+    assert math.isnan(one(table([inside], [0]), obstacles)["corridor_path"])
 
 
 @pytest.mark.parametrize(("degrees", "share"), [(119, 0.0), (121, 1.0), (180, 1.0), (239, 1.0), (241, 0.0)])

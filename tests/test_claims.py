@@ -196,7 +196,7 @@ def surge(before, between, after):
 
 def corridors():
     ppo, dqn = (0.1, 0.1, 0.2, 0.2), (0.4, 0.4, 0.3, 0.3)
-    means = of_metric("corridor", ppo, dqn) | of_metric("corridor_flown", dqn, ppo)
+    means = of_metric("corridor", ppo, dqn) | of_metric("corridor_path", dqn, ppo)
     means |= of_metric("corridor_first", ppo, dqn) | of_metric("clearance", (90,) * 4, (60,) * 4)
     means |= of_metric("empty_clearance", (100,) * 4, (140,) * 4)
     return (

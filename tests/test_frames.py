@@ -158,7 +158,7 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     of_first = 10 + 0.75 * 10 + 0.5 * (MAX_STEPS - 20)
     assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
     assert (row["configuration"], row["n"], row["episodes"]) == ("PPO tanh", 2, 6)
-    assert row["cut_off"] == pytest.approx(2 / 6)
+    assert row["truncated"] == pytest.approx(2 / 6)
     interval = ttest_1samp([200, of_first], 0).confidence_interval()
     assert (row["low"], row["high"]) == pytest.approx(tuple(interval))
     assert [*curves] == ["PPO tanh"]

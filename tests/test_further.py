@@ -95,14 +95,14 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
     found, left_out = evaluations([tmp_path], "noise")
     table = noise.table(found).set_index(["who", "trained"])
     assert [line.split(":")[0] for line in left_out] == [f"{tmp_path}/noise/baselines/random.parquet"]
-    assert table.loc[("PPO tanh", 5.0), ["flown", "value", "gap", "gain", "above"]].tolist() == [
+    assert table.loc[("PPO tanh", 5.0), ["evaluated", "value", "gap", "gain", "above"]].tolist() == [
         5,
         4.5,
         2,
         3,
         2,
     ]
-    assert table.loc[("PPO tanh", 0.0), ["flown", "value", "gap", "above"]].tolist() == [5, 1.5, -1, 0]
+    assert table.loc[("PPO tanh", 0.0), ["evaluated", "value", "gap", "above"]].tolist() == [5, 1.5, -1, 0]
     assert np.isnan(table.loc[("PPO tanh", 0.0), "gain"])
     assert table.loc["reactive", "value"].tolist() == [2.5]
 

@@ -132,7 +132,7 @@ def measures(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
       one body, the whole strip of its border squares), two have their nearest points within the sensor's
       radius (120 px) of the drone's centre, in directions at least 120 degrees apart. The heading plays no
       part: it is a property of a place. Two walls of a corner are 90 degrees apart, and make none.
-    - corridor_flown: share of the path in such places: a drone that stands between two bodies
+    - corridor_path: share of the path in such places: a drone that stands between two bodies
       steers through nothing. NaN for a seed that never moves.
     - reversals: turn-sign reversals a step. A step with angle != 0 is one if the last such step before it in
       the same episode, however long ago, turned the other way: straight steps in between are skipped.
@@ -157,7 +157,7 @@ def of_steps(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
     steps = table[EPISODE].assign(
         clearance=table["clearance"].astype("float64"),
         corridor=corridor,
-        corridor_flown=corridor * distance,
+        corridor_path=corridor * distance,
         distance=distance,
         reversals=_reversals(table, np.sign(angle)),
         straight_speed=np.where(angle == 0, distance, np.nan),
@@ -171,7 +171,7 @@ def of_steps(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
 def of_seeds(steps: pd.DataFrame) -> pd.DataFrame:
     """`measures` of what `of_steps` gives."""
     means = steps.groupby(["mode", "seed"])[[*MEASURES, "distance"]].mean()
-    means["corridor_flown"] /= means.pop("distance").replace(0, np.nan)
+    means["corridor_path"] /= means.pop("distance").replace(0, np.nan)
     return means.reset_index()
 
 

@@ -238,7 +238,7 @@ def _dqn_takes_corridors() -> list[Part]:
         "corridor": (f"{steps}: {more}", -1),
         "clearance": (f"{space}: {wider}", 1),
         "empty_clearance": (f"distance to the nearest wall in the empty arena: {wider}", 1),
-        "corridor_flown": (f"share of the path between two close obstacles: {more}", -1),
+        "corridor_path": (f"share of the path between two close obstacles: {more}", -1),
         "corridor_first": (f"{steps}, the first 50 of an episode: {more}", -1),
         "corridor_early": (f"{steps}{early}: {more}", -1),
         "clearance_early": (f"{space}{early}: {wider}", 1),

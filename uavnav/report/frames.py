@@ -40,7 +40,7 @@ DIAGNOSTICS = {
 MEASURES = {
     "clearance": "clearance [px]",
     "corridor": "steps in corridors [share]",
-    "corridor_flown": "path in corridors [share]",
+    "corridor_path": "path in corridors [share]",
     "reversals": "reversals of turn [share of steps]",
     "straight_speed": "speed going straight [px a step]",
     "turning_speed": "speed in turns [px a step]",
@@ -196,7 +196,7 @@ def survival(
             ]
         )
         rows.append([label, mean.n, len(part), part["truncated"].mean(), *mean[:3]])
-    columns = ["configuration", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
+    columns = ["configuration", "n", "episodes", "truncated", "restricted_mean", "low", "high"]
     return curves, pd.DataFrame(rows, columns=columns)
 
 

@@ -28,10 +28,10 @@ def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     for key, one, noise in zip(keys, found, trained, strict=True):
         gains = noise > 0 and key in without
         rows.append(
-            {"who": one.who, "trained": noise, "flown": from_words(one.how["faults"]).noise}
+            {"who": one.who, "trained": noise, "evaluated": from_words(one.how["faults"]).noise}
             | stats.difference([one.reward])._asdict()
             | named("gap", stats.difference([one.gap]))
             | {"above": int((one.gap > 0).sum())}
             | named("gain", stats.difference([one.reward], [without[key]]) if gains else stats.NONE)
         )
-    return pd.DataFrame(rows).sort_values(["flown", "trained"], kind="stable", ignore_index=True)
+    return pd.DataFrame(rows).sort_values(["evaluated", "trained"], kind="stable", ignore_index=True)

@@ -157,7 +157,7 @@ LISTED: Mapping[str, Columns] = {
         "configuration": "{configuration}",
         "seeds": "{n}",
         "episodes": "{episodes:,}",
-        "truncated [share]": "{cut_off:.0%}",
+        "truncated [share]": "{truncated:.0%}",
         "mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]",
     },
     "gaps": {
@@ -235,7 +235,7 @@ LISTED: Mapping[str, Columns] = {
     "noise": {
         "who": "{who}",
         "trained with [px]": "{trained:.0f}",
-        "flown with [px]": "{flown:.0f}",
+        "evaluated with [px]": "{evaluated:.0f}",
         "seeds": "{n}",
         "reward": "{value:.1f} [{low:.1f}, {high:.1f}]",
         "gap to the scripted policy": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",

@@ -46,7 +46,7 @@ CLASSICS: dict[str, dict[str, Any]] = {
     for one in (classics.apf, classics.vfh)
 }
 CLASSICS["vfh"] |= {"sectors": classics.SECTORS.tolist(), "aside": classics.ASIDE}
-RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "moving": MOVING, "goal": GOAL}
+NEEDS: dict[str, dict[str, Any]] = {"slalom": SLALOM, "moving": MOVING, "goal": GOAL}
 """What a task's layouts and its scripted policy need, besides its constants."""
 TITLES = {"drone": "the paper's task", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
 """How pages call the tasks of `world.js`."""
@@ -55,12 +55,12 @@ IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}
 
 
 def constants(worlds: Mapping[str, World]) -> dict[str, dict[str, Any]]:
-    """What `world.js` needs of each task, by its name there: constants, the time limit, and `RULES`."""
+    """What `world.js` needs of each task, by its name there: constants, the time limit, and `NEEDS`."""
     return {
         name: {
             "world": world.model_dump(),
             "max_steps": TASKS.get(name, TASKS["drone"]).MAX_STEPS,
-            "rules": RULES.get(name, {}) | {"classics": CLASSICS},
+            "needs": NEEDS.get(name, {}) | {"classics": CLASSICS},
         }
         for name, world in worlds.items()
     }

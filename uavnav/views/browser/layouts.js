@@ -1,6 +1,6 @@
 /*
  * Layouts, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each is a
- * function of its seed. `rules` are uavnav/views/browser/__init__.py's.
+ * function of its seed. `needs` are uavnav/views/browser/__init__.py's.
  */
 
 /** Uniform numbers in [0, 1), the same for the same seed (mulberry32). */
@@ -83,8 +83,8 @@ function roomAt({ width, height, border }, circles, x, y) {
 const LAYOUTS_TRIED = 20; // without a goal, before a circle is left out
 
 /** Circles with a goal that can be reached: { circles, goal }. The goal is uniform where there is room: goal.py. */
-function generateGoal(world, rules, k, seed) {
-  const { room, far, tries, grid } = rules;
+function generateGoal(world, needs, k, seed) {
+  const { room, far, tries, grid } = needs;
   const draw = randomNumbers(seed ^ 0x2c1b3c6d);
   let circles = generate(world, k, seed);
   for (let tried = 1; ; tried += 1) {

@@ -190,9 +190,9 @@ function reflect(place, speed, steps, size) {
 class Task {
   moves = false; // whether obstacles do
 
-  /** given: constants of the task (`world`, `max_steps`, `rules` of its layouts); faults: as NO_FAULTS. */
-  constructor({ world, max_steps, rules }, faults = NO_FAULTS) {
-    Object.assign(this, { world, max_steps, rules, faults });
+  /** given: constants of the task (`world`, `max_steps`, `needs` of its layouts); faults: as NO_FAULTS. */
+  constructor({ world, max_steps, needs }, faults = NO_FAULTS) {
+    Object.assign(this, { world, max_steps, needs, faults });
     this.remembers = Object.values(faults).some((fault) => fault > 0);
   }
 
@@ -286,7 +286,7 @@ class Task {
 /** Four columns of circles, each with a gap. */
 class Slalom extends Task {
   generate({ gap, layout }) {
-    return { circles: generateSlalom(this.rules, gap, layout) };
+    return { circles: generateSlalom(this.needs, gap, layout) };
   }
 }
 
@@ -315,7 +315,7 @@ class Moving extends Task {
 /** A place to fly to among circles that stand still: an observation has three numbers more. */
 class Goal extends Task {
   generate({ k, layout }) {
-    return generateGoal(this.world, this.rules, k, layout);
+    return generateGoal(this.world, this.needs, k, layout);
   }
 
   get observationSize() {
@@ -323,7 +323,7 @@ class Goal extends Task {
   }
 
   free(layout) {
-    return [...super.free(layout), [...layout.goal, this.rules.room]];
+    return [...super.free(layout), [...layout.goal, this.needs.room]];
   }
 
   /** From a place to the goal: dx, dy and distance [px]. */
@@ -337,7 +337,7 @@ class Goal extends Task {
     const { observation, clearance } = super.sense(state, layout, draws);
     const way = this.toGoal(state, layout);
     const parts = direction(way, state.heading).map((part) => clamp(part, -1, 1));
-    const ahead = [...parts, Math.min(f32(way[2] / this.rules.scale), 1)];
+    const ahead = [...parts, Math.min(f32(way[2] / this.needs.scale), 1)];
     return { observation: Float32Array.from([...observation, ...ahead]), clearance };
   }
 

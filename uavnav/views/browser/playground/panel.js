@@ -112,7 +112,7 @@ class Panel {
     showValues(values, { shares, chosen, low, high });
     values.setAttribute("aria-label", `${subject}${words}`);
     const slots = slotsOf(this.world, drone.observation);
-    const way = wayOf(this.world, drone.observation, race.task.rules.scale);
+    const way = wayOf(this.world, drone.observation, race.task.needs.scale);
     const filled = slots.filter(isFilled).length;
     const sensor = this.find("sensor");
     drawSlots(sensor, { world: this.world, slots, way, mine });

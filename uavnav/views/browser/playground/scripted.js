@@ -86,9 +86,9 @@ function steer(world, [right, forward], tolerance) {
 }
 
 /** Artificial potential field: the target pulls, each body within reach pushes. */
-function apf(world, observation, rules) {
-  const { gain, reach, tolerance } = rules.classics.apf;
-  let [right, forward, away] = wayOf(world, observation, rules.scale) ?? STRAIGHT_ON;
+function apf(world, observation, needs) {
+  const { gain, reach, tolerance } = needs.classics.apf;
+  let [right, forward, away] = wayOf(world, observation, needs.scale) ?? STRAIGHT_ON;
   for (const echo of bodiesIn(world, observation)) {
     const rho = Math.max(echo.distance - world.drone_radius, 1);
     const push = rho > reach ? 0 : (gain * (1 / rho - 1 / reach)) / rho ** 2;
@@ -100,9 +100,9 @@ function apf(world, observation, rules) {
 }
 
 /** Vector field histogram, VFH+: towards the cheapest opening between sectors that bodies block. */
-function vfh(world, observation, rules) {
-  const { window, spare, wide, sectors, aside } = rules.classics.vfh;
-  const [right, forward, away] = wayOf(world, observation, rules.scale) ?? STRAIGHT_ON;
+function vfh(world, observation, needs) {
+  const { window, spare, wide, sectors, aside } = needs.classics.vfh;
+  const [right, forward, away] = wayOf(world, observation, needs.scale) ?? STRAIGHT_ON;
   const reach = Math.min(away, window) + world.drone_radius;
   const near = bodiesIn(world, observation).filter((echo) => echo.distance < reach);
   const isBlocked = (sector) =>
@@ -127,15 +127,15 @@ function vfh(world, observation, rules) {
   return encode(world, [angle, Math.round(pace)]);
 }
 
-/** What `reactive` does in each world: of its constants, an observation, and the `rules` of that world. */
+/** What `reactive` does in each world: of its constants, an observation, and the `needs` of that world. */
 const REACTIONS = { drone: reactive, slalom: reactive, moving: dodge, goal: towardsGoal };
 const REACTIVE = "reactive";
 
 /** Every scripted policy: of a world's name, its task, an observation and uniform random numbers, an action. */
 const SCRIPTED = {
-  [REACTIVE]: (name, { world, rules }, observation) => REACTIONS[name](world, observation, rules),
-  apf: (name, { world, rules }, observation) => apf(world, observation, rules),
-  vfh: (name, { world, rules }, observation) => vfh(world, observation, rules),
+  [REACTIVE]: (name, { world, needs }, observation) => REACTIONS[name](world, observation, needs),
+  apf: (name, { world, needs }, observation) => apf(world, observation, needs),
+  vfh: (name, { world, needs }, observation) => vfh(world, observation, needs),
   straight: (name, { world }) => encode(world, [0, world.n_distances - 1]),
   random: (name, { world }, observation, draw) => Math.floor(actionsOf(world).length * draw()),
 };

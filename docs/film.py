@@ -1,4 +1,4 @@
-"""Draw docs/flight.gif: episodes on the same obstacles, and their rewards below (`python docs/film.py RUN
+"""Draw docs/episode.gif: episodes on the same obstacles, and their rewards below (`python docs/film.py RUN
 ...`).
 """
 
@@ -51,7 +51,7 @@ def main(words: list[str]) -> None:
     episodes = [fly(pilot, layouts, LAYOUT, STEPS) for pilot in load_pilots(words)]
     film = Film(episodes, layouts[LAYOUT], WIDTH, EVERY)
     pictures = [np.vstack(both) for both in zip(film, curves(episodes, film), strict=True)]
-    out = Path(__file__).parent / "flight.gif"
+    out = Path(__file__).parent / "episode.gif"
     save(pictures, out, Fraction(SPEED * STEPS_PER_SECOND, EVERY))
     for episode in episodes:
         last = episode.states[-1]

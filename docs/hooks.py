@@ -67,12 +67,12 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
             files.append(File.generated(config, where, content=page))
         else:
             files.append(File.generated(config, where, abs_src_path=str(path)))
-    if live := flown(Path(config.config_file_path).parent / GENERATED / "vectorised"):
+    if live := playground_of(Path(config.config_file_path).parent / GENERATED / "vectorised"):
         files.append(File.generated(config, FLY, content=live))
     return files
 
 
-def flown(folder: Path) -> str:
+def playground_of(folder: Path) -> str:
     """The playground of a folder's runs; nothing where there are none."""
     try:
         return playground.page(playground.collect([folder]))

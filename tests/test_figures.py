@@ -315,14 +315,14 @@ def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
     assert list(limit.get_xdata()) == [100, 100]
     assert axes.get_xscale() == "log"
     assert "PPO tanh (n = 1)" in texts(drawn.figure)
-    assert drawn.alt.endswith("PPO tanh (n = 1) half of them after 20 steps, 50 % up at 100.")
+    assert drawn.alt.endswith("PPO tanh (n = 1) half of them after 20 steps, 50 % open at 100.")
 
 
 def test_episodes_that_all_stay_up_have_a_flat_line():
     shares = stats.survival(np.array([50.0, 50.0]), np.array([False, False]))
     drawn = charts.survival({"PPO tanh": shares}, limit=50)
     assert set(drawn.figure.axes[0].lines[0].get_ydata()) == {1.0}
-    assert "half of them never, 100 % up at 50" in drawn.alt
+    assert "half of them never, 100 % open at 50" in drawn.alt
     style.png(drawn.figure)
 
 

@@ -1,4 +1,4 @@
-"""What a run shows while it trains: what its seeds earn, how many fly, how long, and the curve."""
+"""What a run shows while it trains: what its seeds earn, which episodes are open, how long, and the curve."""
 
 import itertools
 from types import SimpleNamespace

@@ -149,7 +149,7 @@ def test_the_list_fits_80_columns_sorted_as_asked_and_json_holds_the_same(tmp_pa
     assert max(map(len, lines)) <= 80
     assert lines[:2] == [
         "runs/c",
-        "  ▁▃▇········· 25% 2k/s, 2 min left; reward/1k 31 ± 1, 88% fly, 412 steps",
+        "  ▁▃▇········· 25% 2k/s, 2 min left; reward/1k 31 ± 1, 88% open, 412 steps",
     ]
     assert lines[3].split() == ["run", "policy", "seeds", "frames", "status", "sampled", "greedy", "age"]
     assert lines[4].split() == ["runs/c", "dqn", "relu", "2", "100k/400k", "running", "60", "min"]

@@ -1,7 +1,9 @@
 """The study `activations`: nine activations with and without LayerNorm, by PPO and by DQN.
 
 Written before a run of it was read: what is measured, and the margins within which activations count as
-equal. Kendall's tau came later, when PPO's rows and part of DQN's had been read. Letters: S seeds of a configuration.
+equal. Kendall's tau came later, when PPO's rows and part of DQN's had been read.
+
+Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations

@@ -358,7 +358,7 @@ def survival(
         axes.step(seen.index[seen], shares[seen], where="post", label=name, **look)
         over = shares.index[shares <= 0.5]
         half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"
-        said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % up at {shares.index[-1]:,.0f}")
+        said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % open at {shares.index[-1]:,.0f}")
     axes.axvline(limit, **style.DASHED)
     words, corner = f"time limit{f': {limit:,} steps' * (width >= style.WIDTH)} ", axes.get_xaxis_transform()
     axes.annotate(

@@ -1,4 +1,4 @@
-"""What the seeds of a run do while they train: what they earn, how many still fly, and for how long.
+"""What the seeds of a run do while they train: what they earn, and how long episodes stay open.
 
 All is of the newest tenth of the run's frames, episodes that go on included. Of each environment at most as
 many steps count as a test episode has. Letters: A seeds, W environments of each.
@@ -69,8 +69,8 @@ def line(frames: int, total: int, rate: float | None, lately: Lately) -> str:
     done = f"{sparkline(lately.curve)} {min(frames / total, 1):.0%}{pace}"
     if not lately.rewards:
         return done
-    flying = f"{np.mean(lately.flying):.0%} fly, {np.mean(lately.lengths):,.0f} steps"
-    return f"{done}; reward/1k {with_spread(lately.rewards, int(len(lately.rewards) == 1))}, {flying}"
+    opened = f"{np.mean(lately.flying):.0%} open, {np.mean(lately.lengths):,.0f} steps"
+    return f"{done}; reward/1k {with_spread(lately.rewards, int(len(lately.rewards) == 1))}, {opened}"
 
 
 def with_spread(values: Sequence[float], digits: int) -> str:

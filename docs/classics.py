@@ -32,11 +32,11 @@ SENSING = {"moving": {"sense_velocity": True}, "space-moving": {"sense_velocity"
 
 def reward(name: str, parameters: dict[str, float], task: str) -> float:
     """What a policy with these parameters earns on validation layouts, in the mean."""
-    flown = on(
+    there = on(
         make_task(EMPTY, (SENSING if name == "orca" else TASKS)[task], task=task), "validation", 30, 500
     )
-    policy = functools.partial(getattr(classics, name), world=flown.world, **parameters)
-    return float(fly({0: policy}, flown).episodes["reward"].mean())
+    policy = functools.partial(getattr(classics, name), world=there.world, **parameters)
+    return float(fly({0: policy}, there).episodes["reward"].mean())
 
 
 for name in sys.argv[1:]:

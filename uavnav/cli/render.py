@@ -12,13 +12,13 @@ from uavnav.files import check_out
 from uavnav.tasks.faults import NO_FAULTS, from_option
 from uavnav.tasks.layouts import load
 from uavnav.training import machine
-from uavnav.views.render import MOST_FLOWN, WIDTHS, Film, check_picture, fly, load_pilots, save
+from uavnav.views.render import MOST_STEPS, WIDTHS, Film, check_picture, fly, load_pilots, save
 
 
 def main(arguments: Namespace) -> int:
     for option, number in (("steps", arguments.steps), ("every", arguments.every)):
-        if not 1 <= number <= MOST_FLOWN:
-            raise ConfigError(f"--{option} {number}: give at least 1 and at most {MOST_FLOWN:,}")
+        if not 1 <= number <= MOST_STEPS:
+            raise ConfigError(f"--{option} {number}: give at least 1 and at most {MOST_STEPS:,}")
     if not 0.1 <= arguments.speed <= 100:
         raise ConfigError(f"--speed {arguments.speed:g}: give 0.1 to 100")
     if arguments.width not in WIDTHS:
@@ -39,10 +39,10 @@ def main(arguments: Namespace) -> int:
     if not 0 <= arguments.layout < len(layouts):
         raise ConfigError(f"--layout {arguments.layout}: choose from 0 to {len(layouts) - 1}")
     with machine.use_threads(1):
-        flown = [fly(pilot, layouts, arguments.layout, arguments.steps) for pilot in pilots]
-        film = Film(flown, layouts[arguments.layout], arguments.width, arguments.every)
+        episodes = [fly(pilot, layouts, arguments.layout, arguments.steps) for pilot in pilots]
+        film = Film(episodes, layouts[arguments.layout], arguments.width, arguments.every)
         save(film, arguments.out, rate)
-    for episode in flown:
+    for episode in episodes:
         last = episode.states[-1]
         told = f"{int(last.steps)} steps, {int(last.distance)} px, reward {float(last.reward):.2f}"
         print(f"{episode.pilot.title}: {told}{episode.ended and f', {episode.ended}'}")

@@ -87,10 +87,10 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
     """The mean reward of a test episode in each mode, by the run's own protocol."""
     try:
         rows = arrow(path / usual(task).file("evaluation"), ["mode", "reward"])
-        flown = {
+        by_mode = {
             column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()
         }
-        return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
+        return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in by_mode.items()}
     except (OSError, ValueError, NotImplementedError):
         # there is none, or it is damaged, or its rewards are words
         return dict.fromkeys(MEANS)

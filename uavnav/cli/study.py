@@ -176,14 +176,14 @@ def main(arguments: Namespace) -> int:
         compared = out / "baselines" / "reactive.parquet"  # what a winner of tuning is compared with
         if plan is not None and own.report and not (untold or failed or compared.exists()):
             evaluations.append(["reactive", "--out", str(compared.parent)])
-        unflown = 0
+        unevaluated = 0
         for words in evaluations:
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
-            unflown += commands.run("evaluate", [*words, "--quiet"]) != 0
+            unevaluated += commands.run("evaluate", [*words, "--quiet"]) != 0
     failures = {
         f"{len(untold)} trials": untold,
         f"{len(failed)} of {len(found)} configurations": failed,
-        f"{unflown} evaluations of scripted policies": unflown,
+        f"{unevaluated} evaluations of scripted policies": unevaluated,
     }
     if what := next((words for words, some in failures.items() if some), ""):
         print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
@@ -204,14 +204,14 @@ def scripted_evaluations(
         own, evaluations = configuration.config, configuration.evaluations
         climbed = [name for name in layouts.RUNGS if name in configuration.across]
         rungs = [ladders.split_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
-        for flown in (*evaluations, *(evaluations[0]._replace(layouts=rung) for rung in rungs)):
-            faults = flown.faults or own.faults
+        for evaluation in (*evaluations, *(evaluations[0]._replace(layouts=rung) for rung in rungs)):
+            faults = evaluation.faults or own.faults
             task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=faults)
-            where = str(flown.layouts), flown.episodes, flown.max_steps, flown.shield
+            where = str(evaluation.layouts), evaluation.episodes, evaluation.max_steps, evaluation.shield
             protocol = scripted.protocol_in(task, *where)
             usual, (asked, more) = [one for one in names if one in USUAL], wanted.get(protocol, ((), []))
             wanted[protocol] = (
-                names if flown in evaluations else asked or usual,
+                names if evaluation in evaluations else asked or usual,
                 ["--measures"] if configuration.measures else more,
             )
     return [

@@ -75,8 +75,8 @@ class Episode:
         self.steps += 1
         observation = self._observe()
         reward, over = self._judge(action, self.clearance <= self.world.drone_radius)
-        capped = self.max_steps is not None and self.steps >= self.max_steps
-        return observation, reward, over, capped and not over
+        at_limit = self.max_steps is not None and self.steps >= self.max_steps
+        return observation, reward, over, at_limit and not over
 
     @property
     def state(self) -> State:

@@ -179,7 +179,7 @@ def fly_modes(
     task's own, gives of each step is added up over an episode: a column more for each. Episodes that go round
     for ever are counted to the time limit (`uavnav.evaluation.repeats`). heading: [layouts] of the start,
     where it is not the task's. measures: rows have the columns of `uavnav.evaluation.measures` too. With
-    columns more, every step is flown.
+    columns more, every step is taken.
     """
     policies = [one for population in modes.values() for one in population.items()]
     seeds = [seed for seed, _ in policies]

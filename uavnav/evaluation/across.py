@@ -277,12 +277,12 @@ def across(
     folder.mkdir(parents=True, exist_ok=True)
     if not quiet and episodes < SKETCH:
         tell(f"--episodes {episodes} is a sketch; give {SKETCH} or more for intervals to trust")
-    flown = {one.name: episodes * sum(map(len, one.modes.values())) for one in flyers}
+    counts = {one.name: episodes * sum(map(len, one.modes.values())) for one in flyers}
     rungs = sum(len(LADDERS[name].rungs) for name in climbed)
 
     def how_long(seconds: float) -> None:
-        n = rungs * sum(flown.values())
-        left = seconds * (n / flown[flyers[0].name] - 1)
+        n = rungs * sum(counts.values())
+        left = seconds * (n / counts[flyers[0].name] - 1)
         tell(f"about {span(left)} more, as the first rung took: {n:,} episodes on {rungs} rungs")
 
     told: list[dict[str, Any]] = []

@@ -42,9 +42,9 @@ def main(results: Path) -> None:
         task = on(next(iter(modes["greedy"].values())).task, LAYOUTS)
         with machine.use_threads(1):
             rows = fly_modes(modes, task).episodes
-        flown = run.evaluation()
-        assert flown is not None, f"{run.path}: evaluate it on the test split first"
-        validation, test = _rewards(rows), _rewards(flown)
+        tested = run.evaluation()
+        assert tested is not None, f"{run.path}: evaluate it on the test split first"
+        validation, test = _rewards(rows), _rewards(tested)
         seed = int(validation.mean(axis=1).idxmax())
         chosen[name] = {
             "run": f"{results.name}/{folder}",

@@ -35,7 +35,7 @@ def _definitions(run: Run) -> dict[str, pd.DataFrame]:
     return definitions | {ALL: per_seed(run.episodes)}
 
 
-def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
+def _by_mode(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """An evaluation in each of its modes; rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`."""
     return {mode: per_seed(rows[rows["mode"] == mode]) for mode in rows["mode"].unique()}
 
@@ -63,7 +63,7 @@ def record(run: Run) -> dict[str, Any]:
     """What the tables of a finished run and of its evaluation show, for JSON."""
     rows, activation = run.evaluation(), run.config["activation"]
     facts = {"run": str(run.path), "algorithm": run.algorithm, "activation": activation, "frames": run.frames}
-    definitions = _definitions(run) | ({} if rows is None else _flown(rows))
+    definitions = _definitions(run) | ({} if rows is None else _by_mode(rows))
     return facts | {"seeds": run.seeds, "seconds": run.meta["wall_seconds"], "metrics": _numbers(definitions)}
 
 
@@ -71,8 +71,8 @@ def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
     """What `of_evaluation` shows, for JSON."""
     seeds = sorted(map(int, rows["seed"].unique()))
     found: dict[str, Any] = {"seeds": seeds} | {str(name): said for name, said in rows.attrs.items()}
-    found["metrics"] = _numbers(_flown(rows))
-    own = {str(mode): metrics.own(flown).mean().to_dict() for mode, flown in rows.groupby("mode")}
+    found["metrics"] = _numbers(_by_mode(rows))
+    own = {str(mode): metrics.own(part).mean().to_dict() for mode, part in rows.groupby("mode")}
     return found | ({"own": own} if any(own.values()) else {})
 
 
@@ -111,12 +111,12 @@ def _metric_table(
     return table
 
 
-def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, float]:
+def of_paper(run: Run, header: Mapping[Any, Any] | None = None) -> dict[str, float]:
     """The paper's row for a run; nothing where its task or split, or those of its episodes, are other ones.
 
-    What the paper leaves open may be read otherwise: `DEFINITIONS`. flown: the header of a file of rows.
+    What the paper leaves open may be read otherwise: `DEFINITIONS`. header: of a file of rows.
     """
-    config, episodes = run.config, flown or {}
+    config, episodes = run.config, header or {}
     given = config.get("world") or {}
     world = {name: value for name, value in given.items() if name not in DEFINITIONS["world"]}
     other = config.get("task", "drone") != "drone" or config.get("stack", 1) != 1
@@ -128,9 +128,9 @@ def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, floa
 
 
 def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
-    """The six metrics of an evaluation in each of its modes, with the paper's row; who: has flown."""
-    flown = _flown(rows)
-    censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in flown)
+    """The six metrics of an evaluation in each of its modes, with the paper's row; who: acts."""
+    modes = _by_mode(rows)
+    censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in modes)
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
     name = f"{who.algorithm} {who.config['activation']}" if isinstance(who, Run) else who
@@ -138,24 +138,24 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
     return _metric_table(
         ", ".join([where, *_how(rows.attrs, who)]),
         "; ".join([f"{seeds}; truncated at the time limit: {censored}", *_own(rows)]),
-        flown,
+        modes,
         of_paper(who, rows.attrs) if isinstance(who, Run) else {},
         "episode",
     )
 
 
-def _how(flown: Mapping[Any, Any], who: str | Run) -> list[str]:
-    """How episodes were flown, where it is not the usual way, by the header of their file and who flew."""
-    task = (who.config if isinstance(who, Run) else flown).get("task", "drone")
-    limit = flown.get("max_steps", usual := TASKS.get(task, Task).limit(MAX_STEPS))
+def _how(header: Mapping[Any, Any], who: str | Run) -> list[str]:
+    """How a policy was evaluated, where that is not the usual way, by the header of its rows and who acts."""
+    task = (who.config if isinstance(who, Run) else header).get("task", "drone")
+    limit = header.get("max_steps", usual := TASKS.get(task, Task).limit(MAX_STEPS))
     told = [f"task {task}"] * (task != "drone") + [f"at most {limit:,} steps"] * (limit != usual)
     own = {"faults": "{}", "shield": "shielded", "at": "policies at {:g} of training"}
-    return told + [text.format(flown[name]) for name, text in own.items() if name in flown]
+    return told + [text.format(header[name]) for name, text in own.items() if name in header]
 
 
 def _own(rows: pd.DataFrame) -> list[str]:
     """What the task or the split has of its own, in words: means over seeds, by mode."""
-    means = {str(mode): metrics.own(flown).mean() for mode, flown in rows.groupby("mode")}
+    means = {str(mode): metrics.own(part).mean() for mode, part in rows.groupby("mode")}
     return [
         f"{escape(one.label)}: {', '.join(f'{mean[name]:,.2f} {mode}' for mode, mean in means.items())}"
         for name, one in metrics.OWN.items()
@@ -165,14 +165,14 @@ def _own(rows: pd.DataFrame) -> list[str]:
 
 def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
     """How a run flies that acts as in training, and `reactive` where that flies the same."""
-    flown, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
-    share, limit = flown["truncated"].mean(), rows.attrs["max_steps"]
+    sampled, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
+    share, limit = sampled["truncated"].mean(), rows.attrs["max_steps"]
     ends = f"sampled, {share:.0%} of episodes reach the limit of {limit:,} steps"
-    if "succeeded" in flown:
-        ends = f"sampled, {flown['succeeded'].mean():.0%} of episodes reach the goal"
+    if "succeeded" in sampled:
+        ends = f"sampled, {sampled['succeeded'].mean():.0%} of episodes reach the goal"
     usual = (config.world, config.reward, config.faults) == (task.WORLD(), task.REWARD, NO_FAULTS)
     beside = f", the scripted policy {scripted.REWARDS[config.task]:,.0f}"
-    told = f"{ends}; reward {flown['reward'].mean():,.0f}"
+    told = f"{ends}; reward {sampled['reward'].mean():,.0f}"
     return told + beside if usual and config.task in scripted.REWARDS else told
 
 

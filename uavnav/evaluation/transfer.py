@@ -46,8 +46,8 @@ def place(run: Run, episodes: int, max_steps: int | None) -> Place:
     The time limit is 2,000 steps by default, or the task's own where that is lower.
     """
     task, layouts = trained_in(run)
-    flown = task.on(layouts, max_steps or task.limit(ACROSS_STEPS))
-    return Place(named(task, layouts), flown.replace(layouts=flown.layouts[:episodes]), measure_of(layouts))
+    there = task.on(layouts, max_steps or task.limit(ACROSS_STEPS))
+    return Place(named(task, layouts), there.replace(layouts=there.layouts[:episodes]), measure_of(layouts))
 
 
 def trained_in(run: Run) -> tuple[WrappedTask, str]:

@@ -59,9 +59,9 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
     activations: a row a configuration and measure; activations_equal: of `judged`; activations_carried: of
     `carried`.
     """
-    flown, left_out = evaluations(folders, STUDY)
+    evaluated, left_out = evaluations(folders, STUDY)
     measured: dict[Where, dict[str, Array]] = {}
-    for one in flown:
+    for one in evaluated:
         if one.run is None:
             continue
         try:

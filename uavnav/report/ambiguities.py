@@ -1,4 +1,4 @@
-"""The study `ambiguities`: which environment the paper may have flown, by draws of what it leaves open.
+"""The study `ambiguities`: which environment the paper may have used, by draws of what it leaves open.
 
 The draws are fitted to what DQN logs with tanh and sigmoid. The other configurations, the curve of DQN with
 sigmoid and PPO's order are held out.

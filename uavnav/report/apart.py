@@ -35,7 +35,7 @@ class Evaluated(NamedTuple):
     how: dict[str, Any]  # `task`, `layouts`, `max_steps`, `faults`, `shield`, and `at`, the share of training
     rows: pd.DataFrame  # sampled episodes, or greedy ones of an algorithm of `GREEDY`
     reward: Array  # a seed's mean over them, [S]
-    scripted: float  # the reward of the scripted policy `reactive`, flown alike; NaN where it was not
+    scripted: float  # the reward of the scripted policy `reactive`, evaluated alike; NaN where it was not
     gap: Array  # `reward` minus that of `reactive` on the same layouts, [S]
 
 
@@ -47,8 +47,8 @@ def evaluations(folders: Sequence[Path], study: str) -> tuple[list[Evaluated], l
     """
     found, left_out = [], []
     for home in apart(folders, study):
-        flown, unread = baselines([home])
-        scripted = [(name.split("-")[0], rows) for name, rows in flown.items()]
+        kept, unread = baselines([home])
+        scripted = [(name.split("-")[0], rows) for name, rows in kept.items()]
         reactive = {_key(_how(rows)): rows for who, rows in scripted if who == REACTIVE}
         found += [_evaluation(who, None, rows, reactive) for who, rows in scripted if who in SCRIPTED]
         left_out += unread

@@ -72,7 +72,7 @@ FAST, TUNED = "fast", "tuned"
 RANKED, NONE = "ranked", "none"
 """The term of such a correlation, and that of no correlation."""
 
-OF_FLIGHT = ("corridor", "clearance", "empty_", "reversals")
+OF_FINAL = ("corridor", "clearance", "empty_", "reversals")
 """How the names of metrics begin that are known only of final policies."""
 
 
@@ -152,7 +152,7 @@ class Claim(NamedTuple):
         if column == OTHER:
             return self.elsewhere
         trains = column in (TRAINING, LOG)
-        return [one for one in self.parts if not (trains and one.terms[0].metric.startswith(OF_FLIGHT))]
+        return [one for one in self.parts if not (trains and one.terms[0].metric.startswith(OF_FINAL))]
 
 
 def asked(claims: Sequence[Claim], column: str) -> list[Claim]:

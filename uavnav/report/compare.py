@@ -163,7 +163,7 @@ def check(contenders: Sequence[Contender]) -> None:
     first = contenders[0]
     for other in contenders[1:]:
         if other.protocol != first.protocol:
-            both = " and ".join(f"{one.name} on {flown([one])}" for one in (first, other))
+            both = " and ".join(f"{one.name} on {evaluated_on([one])}" for one in (first, other))
             raise RunError(f"evaluated differently: {both}; --episodes and --max-steps evaluate all alike")
 
 
@@ -264,7 +264,7 @@ def improvement(contenders: Sequence[Contender]) -> pd.DataFrame:
     )
 
 
-def flown(contenders: Sequence[Contender]) -> str:
+def evaluated_on(contenders: Sequence[Contender]) -> str:
     """How all of them were evaluated."""
     episodes, layouts, limit = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
     return f"{episodes} layouts ({layouts}), at most {limit:,} steps"
@@ -284,7 +284,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     table = Table(
         "",
         *_short(rows[0][1:]),
-        title=f"Means and 95 % intervals over seeds, sampled; {flown(contenders)}",
+        title=f"Means and 95 % intervals over seeds, sampled; {evaluated_on(contenders)}",
         title_justify="left",
         box=None,
     )
@@ -333,7 +333,7 @@ def page(contenders: Sequence[Contender]) -> bytes:
         "compare.html",
         {},
         names=[one.name for one in contenders],
-        flown=flown(contenders),
+        evaluated_on=evaluated_on(contenders),
         apart=apart(contenders),
         caution=caution(contenders),
         tables={

@@ -93,7 +93,7 @@ class Content:
         return [claim.number for claim in CLAIMS if claim.number not in known]
 
     @property
-    def flown(self) -> dict[str, pd.DataFrame]:
+    def evaluated(self) -> dict[str, pd.DataFrame]:
         """Each configuration's test episodes as a row a seed, sampled, by the folder of its first run."""
         read = {str(one.runs[0].path): read_as(one, SAMPLED) for one in self.configurations}
         return {name: seeds for name, seeds in read.items() if len(seeds)}
@@ -178,7 +178,7 @@ def gather(
             "improvement": frames.improvement(of_paper),
             "interaction": frames.interactions(values),
             "power": frames.power(main),
-            "behaviour": frames.flown(episodes),
+            "behaviour": frames.watched(episodes),
             "diagnostics": frames.diagnostics(of_paper),
             "sensitivity": frames.sensitivity(dealt),
             "configurations": frames.sizes(dealt),
@@ -209,15 +209,15 @@ def gather(
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
         tell("flying episodes for the replays")
-        flown = replayed()
+        shown = replayed()
     return Content(
         configurations,
         dealt,
         numbers,
         drawn,
-        flown if flown["configurations"] else None,
+        shown if shown["configurations"] else None,
         baselines,
-        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
+        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *shown["left_out"]])),
     )
 
 

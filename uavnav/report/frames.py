@@ -184,8 +184,8 @@ def survival(
 ) -> tuple[dict[str, pd.Series], pd.DataFrame]:
     """Kaplan-Meier curves of sampled episodes, all seeds together, and restricted means over seeds."""
     curves, rows = {}, []
-    flown = {name(*key): episodes_of(one, SAMPLED) for key, one in configurations.items()}
-    for label, part in {**flown, **baselines}.items():
+    learned = {name(*key): episodes_of(one, SAMPLED) for key, one in configurations.items()}
+    for label, part in {**learned, **baselines}.items():
         if part.empty:
             continue
         curves[label] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
@@ -211,7 +211,7 @@ def power(configurations: Configurations) -> Rows:
             yield [f"{a[0].upper()}: {a[1]} and {b[1]}", min(len(known[a]), len(known[b])), needed]
 
 
-def flown(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
+def watched(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
     """What episodes of the main study look like, one row a configuration, mode and seed."""
     parts = [
         table.assign(configuration=name(*key), algorithm=key[0], activation=key[1])
@@ -344,13 +344,13 @@ def by_default(studies: Studies, winners: Configurations) -> Rows:
     shared = [one for which, one in studies.tuned if which == first and (second, one) in studies.tuned]
     words = ", ".join(shared)
 
-    def flown(found: Configurations, activations: Sequence[str]) -> list[stats.Array]:
+    def earned(found: Configurations, activations: Sequence[str]) -> list[stats.Array]:
         keys = itertools.product(claims.COMPARED, activations)
         return [of_seeds(found[key], SAMPLED) if key in found else np.empty(0) for key in keys]
 
-    fast, searched = flown(studies.tuned, shared), flown(winners, ["tanh"])
+    fast, searched = earned(studies.tuned, shared), earned(winners, ["tanh"])
     yield [f"preset {claims.FAST}", words, *_halves(fast)]
-    yield ["main study", words, *_halves(flown(studies.main, shared))]
+    yield ["main study", words, *_halves(earned(studies.main, shared))]
     if shared and min(map(len, [*fast, *searched])) > 1:
         yield [claims.TUNED, "tanh", *_halves(searched)]
         share = 1 / len(shared)

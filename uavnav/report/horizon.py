@@ -29,15 +29,15 @@ def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     the reward over that with `USUAL`; each with its 95 % interval; `scripted`, the scripted policy's reward;
     `verdict`, by the interval of the gain: more, less or open, or – where there is none.
     """
-    flown = {
+    known = {
         (one.how["max_steps"], round(one.how["at"] * one.run.frames), one.run.config["gamma"]): one
         for one in found
         if one.run
     }
     rows = []
-    for limit, frames, gamma in sorted(flown):
-        own = flown[limit, frames, gamma]
-        usual = flown.get((limit, frames, USUAL)) if gamma != USUAL else None
+    for limit, frames, gamma in sorted(known):
+        own = known[limit, frames, gamma]
+        usual = known.get((limit, frames, USUAL)) if gamma != USUAL else None
         survive = 100 * own.rows.groupby("seed")["truncated"].mean().to_numpy()
         rows.append(
             {"limit": limit, "frames": frames, "gamma": gamma, "scripted": own.scripted}

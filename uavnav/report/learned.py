@@ -45,7 +45,7 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
 
 
 def place(one: Evaluated) -> str:
-    """The task that was flown, its noise, and the time limit where it is more than `USUAL` steps."""
+    """The task of an evaluation, its noise, and the time limit where it is more than `USUAL` steps."""
     noise = one.run.config["faults"]["noise"] if one.run else from_words(one.how["faults"]).noise
     limit = one.how["max_steps"]
     own = [str(one.how["task"]), f"{noise:g} px of noise" * bool(noise), f"{limit:,} steps" * (limit > USUAL)]
@@ -84,16 +84,16 @@ def ahead(found: pd.DataFrame) -> pd.DataFrame:
 
 @columns("place", "who", "value", "gain", "gain_low", "gain_high", "n", "collisions", "left")
 def shielded(found: Sequence[Evaluated]) -> Rows:
-    """What the shield changes: a row a task and learned policy that was flown with and without it.
+    """What the shield changes: a row a task and learned policy that was evaluated with and without it.
 
     Columns place, who, n; `value`, the reward without it; `gain` in reward, seed by seed, with its 95 %
     interval; `collisions` per 1,000 px without it, and `left` of them under it.
     """
-    flown: dict[tuple[str, str], dict[bool, pd.DataFrame]] = {}
+    known: dict[tuple[str, str], dict[bool, pd.DataFrame]] = {}
     for one in found:
         if one.run:
-            flown.setdefault((place(one), one.who), {})[bool(one.how["shield"])] = of_episodes(one.rows)
-    for key, own in flown.items():
+            known.setdefault((place(one), one.who), {})[bool(one.how["shield"])] = of_episodes(one.rows)
+    for key, own in known.items():
         if len(own) == 2:
             gain = stats.difference([(own[True]["reward"] - own[False]["reward"]).to_numpy()])
             collisions = [own[shield]["collisions"].mean() for shield in (False, True)]

@@ -23,7 +23,7 @@ NEAR = 0.1
 
 
 class Where(NamedTuple):
-    """Which configuration, and how it was flown."""
+    """Which configuration, and how it was evaluated."""
 
     settings: str  # default, fast or tuned
     algorithm: str
@@ -40,20 +40,20 @@ def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     seeds are `above` it; `gain` over the length before, seed by seed, and its `trend`; `lead` over the best
     configuration of the other algorithm, and whether it `leads` all. The best are chosen on `validation`.
     """
-    flown = {}
+    known = {}
     for one in found:
         if one.run:
             who = one.run.path.parent.parent.name, one.run.algorithm, one.run.config["activation"]
             frames = round(one.how["at"] * one.run.config["total_frames"])
-            flown[Where(*who, one.how["layouts"], one.how["max_steps"], frames)] = one
-    algorithms = {where.algorithm for where in flown}
+            known[Where(*who, one.how["layouts"], one.how["max_steps"], frames)] = one
+    algorithms = {where.algorithm for where in known}
     rows = []
-    for where, own in flown.items():
-        other = best(flown, where, algorithms - {where.algorithm})
-        shorter = max((one.frames for one in flown if one.frames < where.frames), default=0)
-        before = flown.get(where._replace(frames=shorter))
+    for where, own in known.items():
+        other = best(known, where, algorithms - {where.algorithm})
+        shorter = max((one.frames for one in known if one.frames < where.frames), default=0)
+        before = known.get(where._replace(frames=shorter))
         gain = stats.NONE if before is None else stats.difference([own.reward - before.reward])
-        lead = stats.NONE if other is None else stats.difference([own.reward], [flown[other].reward])
+        lead = stats.NONE if other is None else stats.difference([own.reward], [known[other].reward])
         rows.append(
             where._asdict()
             | {"n": len(own.reward), "above": int((own.gap > 0).sum())}
@@ -62,24 +62,24 @@ def table(found: Sequence[Evaluated]) -> pd.DataFrame:
             | named("lead", lead)
             | named("gain", gain)
             | {"trend": "" if before is None else trend(gain, before.reward.mean())}
-            | {"leads": best(flown, where, algorithms) == where}
+            | {"leads": best(known, where, algorithms) == where}
             | {"scripted": own.scripted}
         )
     by = ["layouts", "limit", "frames", "algorithm", "settings", "activation"]
     return pd.DataFrame(rows).sort_values(by, ignore_index=True)
 
 
-def best(flown: Mapping[Where, Evaluated], where: Where, algorithms: Collection[str]) -> Where | None:
+def best(known: Mapping[Where, Evaluated], where: Where, algorithms: Collection[str]) -> Where | None:
     """Of some algorithms, the configuration that earns most on validation layouts with the same time limit
-    and length, as it was flown on the layouts of `where`; None where there is none.
+    and length, as it was evaluated on the layouts of `where`; None where there is none.
     """
     judged = {
         one: own.reward.mean()
-        for one, own in flown.items()
+        for one, own in known.items()
         if one[3:] == ("validation", *where[4:]) and one.algorithm in algorithms
     }
     found = max(judged, key=lambda one: judged[one])._replace(layouts=where.layouts) if judged else None
-    return found if found in flown else None
+    return found if found in known else None
 
 
 def trend(gain: stats.Interval, before: float) -> str:

@@ -200,10 +200,10 @@ def _group(
     place: int,
 ) -> Group:
     """The ranking and the figures of runs in one task; place: of the group, for the names of its files."""
-    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -one.reward[0].value)
-    ordered = [*flown, *(one for one in members if not len(one.episodes))]
+    evaluated = sorted((one for one in members if len(one.episodes)), key=lambda one: -one.reward[0].value)
+    ordered = [*evaluated, *(one for one in members if not len(one.episodes))]
     rows = {}
-    for one in flown:
+    for one in evaluated:
         rewards = one.episodes["reward"]
         seeds = rewards.groupby(one.episodes["seed"]).mean()
         dots = seeds if len(seeds) > 1 else rewards  # a number a seed, or an episode of a single seed
@@ -224,7 +224,7 @@ def _group(
         )
         name = f"curves-{place + 1}"
         figures.append(sized(name, "runs", words, charts.curves, learned, {}, looks=looks, scripted=earned))
-    how = compare.flown(ordered) if flown else "no test episodes yet"
+    how = compare.evaluated_on(ordered) if evaluated else "no test episodes yet"
     return Group(
         replays.TITLES.get(task, task).capitalize(),
         how,
@@ -258,13 +258,13 @@ def _scripted(first: Contender, run: Path, folders: Sequence[Path], damaged: lis
     if plain and (rows := _kept(folders, name, damaged)) is not None:
         return Contender(REACTIVE, rows, protocol, first.place, None, REACTIVE)
     try:
-        flown = compare.fly(REACTIVE, protocol, None, str(run))
+        evaluated = compare.fly(REACTIVE, protocol, None, str(run))
         if plain:
-            rows = flown.episodes.copy()
+            rows = evaluated.episodes.copy()
             rows.attrs = {str(key): value for key, value in protocol.items()}
             (folders[-1] / "baselines").mkdir(parents=True, exist_ok=True)
             write_table(folders[-1] / "baselines" / name, rows)
-        return flown
+        return evaluated
     except (OneLineError, ValueError, OSError):
         return None
 

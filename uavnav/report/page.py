@@ -183,9 +183,9 @@ def sections(content: Content) -> list[tuple[str, str]]:
 def first_episodes(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can, and the scripted policy."""
     gaps = content.tables["gaps"]
-    flown = gaps[(gaps["mode"] == MODE) & gaps["algorithm"].isin(paper.TABLE_OF)]
-    flown = flown.sort_values("reward", ascending=False).drop_duplicates("algorithm")
-    configurations = {who: tables.in_words(who) for who in flown["who"]}
+    sampled = gaps[(gaps["mode"] == MODE) & gaps["algorithm"].isin(paper.TABLE_OF)]
+    sampled = sampled.sort_values("reward", ascending=False).drop_duplicates("algorithm")
+    configurations = {who: tables.in_words(who) for who in sampled["who"]}
     shown = together(content.replays, configurations, SCRIPTED_NAME) if content.replays else None
     return shown if shown and len(shown["drones"]) > 1 else None
 

@@ -197,9 +197,9 @@ def evidence_of(
         if metric == "hours":
             return hours(configuration) if definition == PRIMARY else np.empty(0)
         of_episodes = by_layout if metric.endswith("_by_layout") else episodes
-        flown = of_episodes.get((study, algorithm, activation))
-        if flown is not None and metric in flown:
-            table = flown[flown["mode"] == mode]
+        found = of_episodes.get((study, algorithm, activation))
+        if found is not None and metric in found:
+            table = found[found["mode"] == mode]
         else:
             table = per_seed(configuration)
         return np.asarray(table[metric].dropna(), dtype=np.float64) if metric in table else np.empty(0)

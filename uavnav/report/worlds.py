@@ -64,7 +64,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     for path in (path for folder in homes for path in run_folders(folder)[0]):
         try:
             run = Run(path, rows=False)
-            place, flown, table = read(run)
+            place, protocol, table = read(run)
             if (preset := run.config["preset"]) not in (DEFAULT, TUNED):
                 raise RunError(f"{path}: preset={preset}; the study has {DEFAULT} and {TUNED}")
             task = place + f", {TUNED}" * (preset == TUNED)
@@ -75,7 +75,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             if settings.setdefault(key, own) != own:
                 raise RunError(f"{path}: its settings differ from those of another run in {task}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
-            places.setdefault(place, flown)
+            places.setdefault(place, protocol)
             facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
             who = {"run": str(path), "task": task, "algorithm": run.algorithm, "activation": key[-1]}
             made.append({**who, "seeds": len(run.seeds), **facts, **(run.meta.get("machine") or {})})
@@ -159,12 +159,12 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     for name, ladder in LADDERS.items():
         path = run.path / rows_across(name, EPISODES, limit)
         if path.exists():
-            flown = read_table(
+            climbed = read_table(
                 path, {"seed": "int64", "rung": "float64", "mode": "object"}, "evaluate it again"
             )
-            flown = flown[flown["mode"] == MODE]
+            climbed = climbed[climbed["mode"] == MODE]
             for rung in ladder.rungs:
-                one = on_rung(flown[flown["rung"] == rung])
+                one = on_rung(climbed[climbed["rung"] == rung])
                 table = table.join(one.set_axis([at(str(metric), name, rung) for metric in one], axis=1))
             if name == "density":
                 rewards = table[[at("reward", name, rung) for rung in ladder.rungs]]
@@ -175,20 +175,20 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     return named(task, split), protocol_in(task, split, EPISODES, limit), table
 
 
-def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
+def measured(episodes: pd.DataFrame, limit: int) -> pd.DataFrame:
     """`on_rung`, and the restricted mean survival up to a limit; the goal counts as truncation."""
-    ended, steps = collided(flown).to_numpy(np.float64), flown["steps"].to_numpy()
+    ended, steps = collided(episodes).to_numpy(np.float64), episodes["steps"].to_numpy()
     survival = {
         seed: stats.restricted_mean(steps[own], ended[own], limit)
-        for seed, own in flown.groupby("seed").indices.items()
+        for seed, own in episodes.groupby("seed").indices.items()
     }
-    return on_rung(flown).assign(survival=pd.Series(survival))
+    return on_rung(episodes).assign(survival=pd.Series(survival))
 
 
-def on_rung(flown: pd.DataFrame) -> pd.DataFrame:
+def on_rung(episodes: pd.DataFrame) -> pd.DataFrame:
     """The measures of some episodes, a row a seed."""
-    crashed = {CRASHED: collided(flown).groupby(flown["seed"]).mean()}
-    return of_episodes(flown).drop(columns="survive").assign(**crashed)
+    crashed = {CRASHED: collided(episodes).groupby(episodes["seed"]).mean()}
+    return of_episodes(episodes).drop(columns="survive").assign(**crashed)
 
 
 @dataclass(eq=False)
@@ -216,9 +216,9 @@ class Evidence:
         if study != ALL_TASKS:
             table = self._seeds.get((study, algorithm, activation))
             return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
-        flown = [one[metric] for one in self._everywhere(algorithm, activation) if metric in one]
+        parts = [one[metric] for one in self._everywhere(algorithm, activation) if metric in one]
         return (
-            pd.concat(flown, axis=1, join="inner").mean(axis=1).dropna().to_numpy() if flown else np.empty(0)
+            pd.concat(parts, axis=1, join="inner").mean(axis=1).dropna().to_numpy() if parts else np.empty(0)
         )
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
@@ -301,13 +301,13 @@ def ladder(found: Worlds, name: str) -> Rows:
 
     rungs, learned = LADDERS[name].rungs, False
     for (task, algorithm), group in itertools.groupby(found.seeds.items(), key=lambda item: item[0][:2]):
-        flown = [table for _, table in group if at("reward", name, rungs[0]) in table]
-        if not flown or _place(task) != "drone":
+        known = [table for _, table in group if at("reward", name, rungs[0]) in table]
+        if not known or _place(task) != "drone":
             continue
         learned, who = True, algorithm.upper() + " fast" * (task != _place(task))
         for rung, metric in itertools.product(rungs, CLIMBED):
-            if (there := at(metric, name, rung)) in flown[0]:
-                *mean, n = stats.difference([table[there].dropna().to_numpy() for table in flown])
+            if (there := at(metric, name, rung)) in known[0]:
+                *mean, n = stats.difference([table[there].dropna().to_numpy() for table in known])
                 yield [who, MODE, float(rung), metric, n, *mean]
     for who, rung, metric in itertools.product(USUAL, rungs, CLIMBED) if learned else ():
         own = found.rungs.get((name, rung), {}).get(who, pd.DataFrame())

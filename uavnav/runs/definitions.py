@@ -133,8 +133,8 @@ def within(
     before = sums.cumsum(1)[:, :-1].astype(np.float64)  # of no episodes, bincount counts in int64
     owner, steps, end, total, at_end = (column[~whole] for column in (owner, steps, end, total, at_end))
     for index, edge in enumerate(edges):
-        flown = np.clip((edge - end) / (steps * n_envs) + 1, 0, 1)  # the part of each episode before the edge
-        earned = (total - at_end) * flown + at_end * (end <= edge)
+        part = np.clip((edge - end) / (steps * n_envs) + 1, 0, 1)  # the part of each episode before the edge
+        earned = (total - at_end) * part + at_end * (end <= edge)
         before[:, index] += np.bincount(owner, earned, len(seeds))
     low, high = place.reshape(-1, 2).T
     return pd.DataFrame(

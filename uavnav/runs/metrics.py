@@ -82,7 +82,7 @@ def collided(episodes: pd.DataFrame) -> pd.Series:
 
 def spl(episodes: pd.DataFrame) -> pd.Series:
     """Success weighted by path length (Anderson et al. 2018), an episode a row: success x shortest /
-    max(flown, shortest).
+    max(distance, shortest).
     """
     shortest = episodes["shortest"]
     return episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)
@@ -134,16 +134,16 @@ PER_EPISODE = {
 COLLISIONS_PER = 1000.0  # px
 
 
-def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
+def of_episodes(episodes: pd.DataFrame) -> pd.DataFrame:
     """A row a seed, a column a measure: those of `PER_EPISODE` and of `OWN`."""
-    of_seeds, hits = flown.groupby("seed"), collided(flown).groupby(flown["seed"]).sum()
+    of_seeds, hits = episodes.groupby("seed"), collided(episodes).groupby(episodes["seed"]).sum()
     px = of_seeds["distance"].sum()
     values = {
         "reward": of_seeds["reward"].mean(),
         "collisions": COLLISIONS_PER * hits / px.where(px > 0),
         "survive": 100 * of_seeds["truncated"].mean(),
     }
-    return pd.DataFrame(values).join(own(flown))
+    return pd.DataFrame(values).join(own(episodes))
 
 
 def own(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -24,7 +24,7 @@ TABLES: dict[tuple[str, str], dict[str, float]] = {
 TABLE_OF, CURVES_OF = {"dqn": 1, "ppo": 2}, {"dqn": 4, "ppo": 5}
 """Numbers of an algorithm's table and of its figure with learning curves, in the paper's order."""
 PATHS = (6, 7)
-"""Numbers of the figures with flown paths."""
+"""Numbers of the figures with paths of episodes."""
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 """In the tables' order."""
 

@@ -78,7 +78,7 @@ class Configuration(NamedTuple):
 
     @property
     def episodes(self) -> list[str]:
-        """The files of rows and of behaviour that its first evaluation leaves; none where it is not flown."""
+        """The files of rows and of behaviour that its first evaluation leaves; none where it has none."""
         return [one.file(name) for one in self.evaluations[:1] for name in ("evaluation", "behaviour")]
 
 
@@ -308,8 +308,8 @@ def _is_folder(name: str) -> bool:
 
 
 def _evaluations(said: Any, usual: Protocol) -> tuple[tuple[Protocol, ...], tuple[str, ...], bool]:
-    """How a configuration is flown, across which ladders, and whether with more measures; usual: what holds
-    where nothing is said.
+    """How a configuration is evaluated, across which ladders, and whether with more measures; usual: what
+    holds where nothing is said.
     """
     if isinstance(said, bool):
         return (usual,) * said, (), False

@@ -178,7 +178,7 @@ def trained(configuration: Configuration) -> bool:
     return meta.is_file() and read_settings(meta).get("status") == FINISHED
 
 
-def unflown(configuration: Configuration) -> list[list[str]]:
+def unevaluated(configuration: Configuration) -> list[list[str]]:
     """The missing episodes that a configuration's study asks for: each the words of `uavnav evaluate`."""
     out, evaluations = configuration.out, configuration.evaluations
     more = ["--measures"] * configuration.measures
@@ -192,8 +192,8 @@ def unflown(configuration: Configuration) -> list[list[str]]:
 
 
 def evaluated(configuration: Configuration) -> bool:
-    """Whether a configuration was flown as its study asks."""
-    return not unflown(configuration)
+    """Whether a configuration was evaluated as its study asks."""
+    return not unevaluated(configuration)
 
 
 def make_layouts(out: Path, numbers: Sequence[int]) -> None:
@@ -358,7 +358,7 @@ class Runner:
     def _words(self, job: Job) -> list[str]:
         configuration = job.work.configuration
         if job.worker is None:
-            missing = unflown(configuration)
+            missing = unevaluated(configuration)
             job.work.episodes = len(missing)
             words = [
                 "uavnav.cli.episodes",
@@ -372,8 +372,8 @@ class Runner:
             threads = machine.threads(configuration.config, len(job.work.workers))
             how: dict[str, Any] = {"checkpoint_seconds": self.checkpoint_seconds}
             measures = {"measures": configuration.measures}
-            flown = [one.header() | measures for one in configuration.evaluations[:1]]
-            words = ["uavnav.cli.worker", *job.worker.prepare(threads, *flown, **how)]
+            headers = [one.header() | measures for one in configuration.evaluations[:1]]
+            words = ["uavnav.cli.worker", *job.worker.prepare(threads, *headers, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:
@@ -439,7 +439,7 @@ class Runner:
         """See how a job ended: go on with its configuration, give it again, or note what is wrong."""
         said = workers.last_words(job.file("ended"))
         if job.worker is None:
-            self._flown(job, said)
+            self._evaluated(job, said)
         elif "finished" in said:
             job.worker.done, job.worker.frames = True, job.worker.config.frames
             if all(worker.done for worker in job.work.workers):
@@ -455,8 +455,8 @@ class Runner:
             self.say(f"{_shown(job.folder)}: its job is gone; given again, from its last snapshot")
             self._waiting.appendleft((job.work, job.worker))
 
-    def _flown(self, job: Job, said: dict[str, Any]) -> None:
-        work, left = job.work, len(unflown(job.work.configuration))
+    def _evaluated(self, job: Job, said: dict[str, Any]) -> None:
+        work, left = job.work, len(unevaluated(job.work.configuration))
         if not left:
             for path in work.configuration.out.glob(f"{EPISODES}-*.*"):
                 files.remove(path)
@@ -544,7 +544,7 @@ class Runner:
 
 
 def _join_episodes(configuration: Configuration, folders: Sequence[Path]) -> None:
-    """Put what the workers have flown together, in the order of one evaluation of all seeds."""
+    """Put what the workers have evaluated together, in the order of one evaluation of all seeds."""
     beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
     for name in (*beside, *reversed(configuration.episodes)):  # rows last: who finds them has the others too
         parts = [read_table(folder / name, {"seed": "int64"}, "delete it") for folder in folders]

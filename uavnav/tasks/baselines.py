@@ -89,8 +89,8 @@ def towards_goal(
     angles = torch.deg2rad(SECTORS)
     along = towards @ torch.stack([angles.sin(), angles.cos()])  # [..., slots, bearings]
     reach = away.clamp(max=LOOK)[..., None, None]
-    flown = (distance[..., None] * along).clamp(min=0).minimum(reach)  # where it is nearest
-    nearest = (distance[..., None] ** 2 - 2 * flown * distance[..., None] * along + flown**2).sqrt()
+    passed = (distance[..., None] * along).clamp(min=0).minimum(reach)  # where it is nearest
+    nearest = (distance[..., None] ** 2 - 2 * passed * distance[..., None] * along + passed**2).sqrt()
     free = ((nearest > world.drone_radius + ROOM) | (along <= 0) | empty[..., None]).all(-2)
     bearing = torch.rad2deg(torch.atan2(goal[..., 0], goal[..., 1]))
     apart = torch.where(free, (SECTORS - bearing[..., None]).abs(), torch.inf)
@@ -110,7 +110,7 @@ DRIFT = 0.5  # [px a step] that a body may come nearer by itself
 ENOUGH = 40.0  # [px] of clearance, beyond which more is worth nothing
 
 
-def _flown(turn: Tensor, turning: Tensor, speed: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+def _places(turn: Tensor, turning: Tensor, speed: Tensor, steps: int) -> tuple[Tensor, Tensor]:
     """Where ways lead that turn for so many steps and then go straight on: places [W, T, axes] px in the
     drone's frame, and what each way is worth [W] px.
 
@@ -124,14 +124,14 @@ def _flown(turn: Tensor, turning: Tensor, speed: Tensor, steps: int) -> tuple[Te
 
 
 def _ways() -> tuple[Tensor, Tensor, Tensor]:
-    """Ways to fly: the first action [W], and what `_flown` says of each."""
+    """Ways to fly: the first action [W], and what `_places` says of each."""
     sides = (WORLD.n_turns // 2, WORLD.n_turns // 2 + 1 - WORLD.n_turns)  # [degrees] the greatest turns
     turn, turning, speed = torch.cartesian_prod(
         torch.tensor(sides), torch.tensor(TURNING), torch.tensor(SPEEDS)
     ).T
     first = torch.where(turning > 0, turn % WORLD.n_turns, 0) * WORLD.n_distances + speed
     flies = (turning > 0) | (speed > 0)  # who stands still is hit from behind
-    return first[flies], *_flown(turn[flies, None], turning[flies], speed[flies], STEPS)
+    return first[flies], *_places(turn[flies, None], turning[flies], speed[flies], STEPS)
 
 
 FIRST, PLACES, WORTH = _ways()
@@ -178,7 +178,7 @@ def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
     first = torch.cat([action[greatest & turns].repeat(len(TURNED)), action[~turns & (speed > 0)]])
     turning = torch.tensor(TURNED).repeat_interleave(int((greatest & turns).sum()))
     turning = torch.cat([turning, torch.zeros(len(first) - len(turning), dtype=torch.int64)])
-    return first, *_flown(torch.stack([yaw, pitch], -1)[first], turning, speed[first], LOOKED_AHEAD)
+    return first, *_places(torch.stack([yaw, pitch], -1)[first], turning, speed[first], LOOKED_AHEAD)
 
 
 BOX_FIRST, BOX_PLACES, BOX_WORTH = _ways_in_the_box()

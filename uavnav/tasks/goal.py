@@ -58,8 +58,8 @@ class GoalWorld(World):
         return (*super().observation_low, -1.0, -1.0, 0.0)
 
 
-SETS = 100
-"""Sets of circles that a goal may try."""
+MOST = 100
+"""Layouts that are tried for a goal, at most."""
 
 
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
@@ -85,13 +85,13 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     for index, drawn in enumerate(all_circles):
         rng = np.random.Generator(np.random.PCG64([seed, GOALS, index]))
         standing = drawn
-        for _ in range(SETS):
+        for _ in range(MOST):
             if (goal := _draw_goal(standing, rng, world)) is not None:
                 break
             standing = circles.generate(1, k, int(rng.integers(2**31)), world)[0].numpy()
         else:
             raise LayoutError(
-                f"goal_radius={world.goal_radius:g}: no goal could be reached in {SETS} layouts; give more px"
+                f"goal_radius={world.goal_radius:g}: no goal could be reached in {MOST} layouts; give more px"
             )
         found[index, :k], found[index, k] = standing, goal
     return torch.from_numpy(found)

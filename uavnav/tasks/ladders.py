@@ -33,7 +33,7 @@ class Ladder(NamedTuple):
     task: Callable[[WrappedTask, float, str], WrappedTask]  # of a policy, rung, split -> what it flies there
     measure: Measure | None = None
     of: tuple[str, ...] = ()  # kinds of layouts whose tasks have it (`layouts.kind_of`); by default all
-    any_task: bool = True  # also one of a plugin; else its functions would be lost, as another class is flown
+    any_task: bool = True  # also one of a plugin; else its functions would be lost, as another class is used
 
     def fits(self, task: WrappedTask) -> bool:
         """Whether a policy that was trained in a task can be evaluated on it."""
@@ -59,8 +59,8 @@ def arc(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
 
 def reach(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
     """The policy's task with a sensor that reaches so many px; proximities are scaled as in training."""
-    flown = task.replace(world=task.world.replace(sensor_radius=rung))
-    return reached(flown, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
+    there = task.replace(world=task.world.replace(sensor_radius=rung))
+    return reached(there, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
 
 
 def reached(task: WrappedTask, own: float) -> WrappedTask:

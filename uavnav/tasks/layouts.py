@@ -35,8 +35,8 @@ from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.protocol import SPLITS as SPLITS  # also asked for as a name of this module
 from uavnav.tasks.world import VERSION, World
 
-SILENT_SETS = 1_000
-"""Sets with goals that are drawn without a word: ten seconds."""
+SILENT_LAYOUTS = 1_000
+"""Layouts with goals that are drawn without a word: ten seconds."""
 
 
 class Kind(NamedTuple):
@@ -101,7 +101,7 @@ def kind_of(world: World) -> str:
 
 def _ships(world: World) -> bool:
     """Whether its splits are files of the package: the paper's are for every `World`, those of goals, whose
-    files contain lengths of ways, for worlds that are drawn by the defaults.
+    files contain lengths of ways, for the usual constants.
     """
     kind = KINDS[kind_of(world)]
     fields = (*kind.reads, *(DRAWN_BY if kind.beside else ()))
@@ -226,7 +226,7 @@ def _drawn(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split that is no file of the package, or a rung's such as `density-12/test`; and its header."""
     split, k = (layouts, KINDS[kind_of(world)].k) if layouts in SPLITS else _rung(layouts, world)
     n, seed = SPLITS[split]
-    if isinstance(world, goal.GoalWorld) and n > SILENT_SETS:
+    if isinstance(world, goal.GoalWorld) and n > SILENT_LAYOUTS:
         told = f"{n:,} layouts with goals are drawn for this world, {n / 100:.0f} s of a core"
         warnings.warn(f"layouts={layouts}: {told}", stacklevel=2)
     all_layouts = _generate(layouts, n, k, seed, world)

@@ -1,4 +1,4 @@
-"""A box in 3D with spheres, where a drone turns by yaw and by pitch: worlds, layouts, motion, what is sensed.
+"""A box in 3D with spheres, where a drone turns by yaw and by pitch: constants, layouts, motion, sensing.
 
 A layout file has rows (x, y, z, radius), where spheres move also (vx, vy, vz) [px a step]; z points up.
 Spheres are drawn, checked and moved as circles are (`circles`, `moving`).

@@ -155,8 +155,8 @@ class Task:
         )
         over, terms = self.judge(step._replace(after=after))
         earned = total(self.reward, terms, over)
-        capped = torch.zeros_like(over) if self.max_steps is None else after.steps >= self.max_steps
-        outcome = Outcome(step.observation, step.clearance, earned, over, capped & ~over)
+        at_limit = torch.zeros_like(over) if self.max_steps is None else after.steps >= self.max_steps
+        outcome = Outcome(step.observation, step.clearance, earned, over, at_limit & ~over)
         return after._replace(reward=before.reward + earned), outcome
 
     def judge(self, step: Step) -> tuple[Tensor, Terms]:

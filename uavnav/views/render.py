@@ -39,7 +39,7 @@ SUFFIXES = (".mp4", ".gif", ".png")
 COLOURS = 128  # of a GIF
 GAP = 8  # between episodes side by side [px]
 WIDTHS = range(160, 3841)  # of one episode's picture [px]
-MOST_FLOWN = 100_000  # steps of an episode that is drawn: its states are kept
+MOST_STEPS = 100_000  # steps of an episode that is drawn: its states are kept
 SLOWEST = Fraction(1, 100)  # pictures per second of a film
 FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s down
 

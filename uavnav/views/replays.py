@@ -115,7 +115,7 @@ def record(
         for seed, policy in population.items()
     ]
     with machine.use_threads(1):
-        flown = iter(fly(flyers, max_steps))
+        episodes = iter(fly(flyers, max_steps))
         task = WrappedTask(Task(world, all_layouts[:n_layouts], max_steps=max_steps))
         (scripted,) = _fly_together([Flyer(0, reactive, task, usual)], task)
     shown = []
@@ -131,7 +131,7 @@ def record(
                 "name": ", ".join(titles),
                 **where,
                 "values": ALGORITHMS[algorithm].shown,
-                "episodes": [episode for _ in population for episode in next(flown)],
+                "episodes": [episode for _ in population for episode in next(episodes)],
             }
         )
     places = [*usual, *(place for one in configurations for place in one.layouts)]
@@ -175,11 +175,11 @@ def together(recorded: dict[str, Any], configurations: Mapping[str, str], script
     # configurations of the paper's task
     there = [one for one in recorded["configurations"] if "place" not in one]
     of = {f"{one['algorithm'].upper()} {one['label']}": one["episodes"] for one in there}
-    flown = {name: of[label] for label, name in configurations.items() if label in of}
-    flown[scripted] = recorded["scripted"]
+    by_name = {name: of[label] for label, name in configurations.items() if label in of}
+    by_name[scripted] = recorded["scripted"]
     firsts = {
         name: {one["layout"]: one for one in episodes if one["seed"] == episodes[0]["seed"]}
-        for name, episodes in flown.items()
+        for name, episodes in by_name.items()
     }
     learned = [own for name, own in firsts.items() if name != scripted]
     fields = [field for field in recorded["fields"] if not field["chosen"]]
@@ -274,7 +274,7 @@ class Flyer(NamedTuple):
 def fly(flyers: Sequence[Flyer], max_steps: int) -> list[list[dict[str, Any]]]:
     """The shown episodes of each policy in its own task, on the layouts there of its split.
 
-    All layouts are flown, as an evaluation flies them: sampled actions of one episode follow others. Policies
+    All layouts have an episode, as in an evaluation: sampled actions of one episode follow others. Policies
     share a batch where their tasks differ only in layouts and time limit.
     """
     batches: dict[tuple[Any, ...], list[int]] = {}

@@ -255,7 +255,7 @@ function drawGoal(context, world, [x, y], thick, colours) {
 }
 
 /** A drone with its sensor, its trail and what it senses: see drawArena. */
-function drawFlight(context, world, drone, thick, given) {
+function drawEpisode(context, world, drone, thick, given) {
   const { pose, trail, sensed, crashed, sign, faint, fades, accent = given.accent, ink = given.bg } = drone;
   const colours = { ...given, accent, ink };
   if (!faint && !crashed) drawSensor(context, world, pose, colours);
@@ -291,7 +291,7 @@ function drawArena(canvas, { world, circles, pale = [], goal, drones }) {
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
   for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
   if (goal) drawGoal(context, world, goal, thick, colours);
-  for (const drone of drones) drawFlight(context, world, drone, thick, colours);
+  for (const drone of drones) drawEpisode(context, world, drone, thick, colours);
   return { context, thick, colours };
 }
 

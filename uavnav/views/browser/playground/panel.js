@@ -37,7 +37,7 @@ function drawSlots(canvas, { world, slots, way, mine }) {
   const pose = { x: 0, y: 0, angle: Math.PI / 2 };
   const sensed = sensedPoints(world, [0, 0], planeAxes(pose.angle), slots);
   context.transform(scale, 0, 0, -scale, width / 2, width / 2);
-  drawFlight(context, world, { pose, trail: [], sensed, accent: mine }, 0.7 / scale, colours);
+  drawEpisode(context, world, { pose, trail: [], sensed, accent: mine }, 0.7 / scale, colours);
   context.clearRect(-side, 0, 2 * side, -side);
   if (!way) return;
   const away = Math.min(way[2], 0.9 * world.sensor_radius);
@@ -77,7 +77,7 @@ class Panel {
 
   /** Who flies which drone, which is in focus, and how they fare; colours: of each pilot. */
   showRace(race, focus, colours) {
-    const most = Math.max(...race.flown.map(({ state }) => state.reward));
+    const most = Math.max(...race.piloted.map(({ state }) => state.reward));
     race.drones.forEach(({ pilot, state, ended }, place) => {
       const [who, more] = nameOf(pilot, this.data.policies);
       const seat = this.seats[place];

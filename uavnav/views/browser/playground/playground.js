@@ -135,7 +135,7 @@ class Playground extends Playing {
   }
 
   /** Where the drone in focus is none of those in the race, or of those given, the first of them is in focus. */
-  focusOnFlyer(drones = this.race.flown) {
+  focusOnFlyer(drones = this.race.piloted) {
     if (drones.length && !drones.includes(this.race.drones[this.focus])) this.scene.focus = drones[0].place + 1;
   }
 
@@ -392,8 +392,8 @@ class Playground extends Playing {
     let words = "";
     if (atStart) words = mine ? "Press an arrow key to fly, Space to watch." : "Press Space to watch.";
     else if (mine?.ended) words = `You ${WAYS_TO_END[mine.ended]}: step ${mine.state.steps}, reward ${fixed(mine.state.reward, 1)}.`;
-    else if (over) words = race.flown.every(({ ended }) => ended === "collision") ? "All have crashed." : "The race is over.";
-    find("banner").hidden = !words || this.stage.drawing || !race.flown.length;
+    else if (over) words = race.piloted.every(({ ended }) => ended === "collision") ? "All have crashed." : "The race is over.";
+    find("banner").hidden = !words || this.stage.drawing || !race.piloted.length;
     say(find("banner-words"), words);
     find("banner-touch").hidden = !atStart || !mine;
     find("banner-next").parentElement.hidden = atStart;
@@ -403,7 +403,7 @@ class Playground extends Playing {
   /** Words for those who do not see the arena: after a step, and when an episode ends. */
   describe() {
     const flying = this.race.flying();
-    const words = this.race.flown.map((drone) => {
+    const words = this.race.piloted.map((drone) => {
       const { place, pilot, state, ended } = drone;
       const [who, more] = nameOf(pilot, this.data.policies);
       const how = ended ? ENDS[ended] : flying.includes(drone) ? "flies" : "waits";

@@ -130,13 +130,13 @@ class Race {
   }
 
   /** Those that are in the race: whose pilots can fly here. */
-  get flown() {
+  get piloted() {
     return this.drones.filter(({ pilot }) => this.canFly(pilot));
   }
 
   /** Those that are in the race and have not ended. */
   flying() {
-    return this.flown.filter(({ pilot, ended }) => !ended && (pilot !== YOU || this.begun));
+    return this.piloted.filter(({ pilot, ended }) => !ended && (pilot !== YOU || this.begun));
   }
 
   /** One step of everyone; who is not flown waits where it is. -> the drones that ended in it */

@@ -44,8 +44,8 @@ function towardsGoal(world, observation, { scale, bearings, look, spare }) {
   const isFree = (bearing) =>
     echoes.every((echo) => {
       const closing = along(echo, -bearing);
-      const flown = clamp(echo.distance * closing, 0, reach); // where it is nearest
-      const nearest = Math.sqrt(echo.distance ** 2 - 2 * flown * echo.distance * closing + flown ** 2);
+      const passed = clamp(echo.distance * closing, 0, reach); // where it is nearest
+      const nearest = Math.sqrt(echo.distance ** 2 - 2 * passed * echo.distance * closing + passed ** 2);
       return nearest > world.drone_radius + spare || closing <= 0;
     });
   const goal = Math.atan2(right, forward) / radians(1);

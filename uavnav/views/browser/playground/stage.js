@@ -55,7 +55,7 @@ class Stage {
     this.canvas.setPointerCapture(event.pointerId);
     if (this.drawing) this.grasp(point);
     else {
-      const near = this.app.race.flown.find(({ state }) => Math.hypot(state.x - point[0], state.y - point[1]) < 30);
+      const near = this.app.race.piloted.find(({ state }) => Math.hypot(state.x - point[0], state.y - point[1]) < 30);
       if (near) this.app.focusOn(near.place + 1);
       if (near && near.pilot !== YOU) return;
       this.target = point;
@@ -107,7 +107,7 @@ class Stage {
   /** Draw the moment so much of the way [0 to 1] from each drone's last pose to its pose. focus: place of a drone. */
   draw(share, focus) {
     const { race, world, pilots } = this.app;
-    const shown = race.flown.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
+    const shown = race.piloted.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
     const drones = shown.map((drone) => {
       const { place } = drone;
       const pose = race.poseAt(drone, drone.ended ? 1 : share);

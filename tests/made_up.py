@@ -36,16 +36,16 @@ def run(seeds, progress=None, frames=1_000_000, **meta):
     return SimpleNamespace(seeds=[*seeds], meta=meta, frames=frames, progress=progress)
 
 
-def configuration(rows, key=("ppo", "tanh"), flown=EMPTY, runs=None, n_seeds=None, **settings):
+def configuration(rows, key=("ppo", "tanh"), tested=EMPTY, runs=None, n_seeds=None, **settings):
     """A configuration of some episodes; n_seeds: of its one run, by default those that have an episode."""
     runs = runs or [run(range(rows["seed"].nunique() if n_seeds is None else n_seeds))]
-    return Configuration(*key, settings, runs, rows, flown)
+    return Configuration(*key, settings, runs, rows, tested)
 
 
 def in_study(
-    algorithm="ppo", activation="tanh", rows=None, flown=EMPTY, n_seeds=2, wall=3600.0, study="", **changes
+    algorithm="ppo", activation="tanh", rows=None, tested=EMPTY, n_seeds=2, wall=3600.0, study="", **changes
 ):
     """A configuration with all the settings that deal it out to a study."""
     own = SETTINGS | changes
     runs = [run(range(n_seeds), frames=own["frames"], wall_seconds=wall, study=study)]
-    return configuration(episodes("") if rows is None else rows, (algorithm, activation), flown, runs, **own)
+    return configuration(episodes("") if rows is None else rows, (algorithm, activation), tested, runs, **own)

@@ -40,10 +40,10 @@ class _Transitions(BaseCallback):
 
 
 def on_policy(kind, activation, steps, max_steps, **settings):
-    """An agent of SB3's that learns from so many steps of two worlds with a time limit."""
-    worlds = DummyVecEnv([functools.partial(gymnasium.make, "uavnav/Drone-v0", max_steps=max_steps)] * 2)
+    """An agent of SB3's that learns from so many steps of two environments with a time limit."""
+    envs = DummyVecEnv([functools.partial(gymnasium.make, "uavnav/Drone-v0", max_steps=max_steps)] * 2)
     how = {"activation_fn": KINDS[activation]}
-    return kind("MlpPolicy", worlds, n_steps=steps, policy_kwargs=how, seed=0, **settings)
+    return kind("MlpPolicy", envs, n_steps=steps, policy_kwargs=how, seed=0, **settings)
 
 
 def rollout(theirs, frames):

@@ -20,7 +20,7 @@ MAX_STEPS = 60
 EPISODES = 30
 
 
-def few_sets():
+def few_layouts():
     """Within, episodes are recorded beside those of 30 layouts: 200 take most of the time."""
     return mock.patch("uavnav.views.replays.EPISODES", EPISODES)
 
@@ -47,7 +47,7 @@ def unpack(episode, fields):
     return found
 
 
-def flown(path, seed, n_layouts):
+def stepped(path, seed, n_layouts):
     """The same episodes, each drone in plain numbers and beside those of all layouts, as an evaluation flies
     them.
 
@@ -75,10 +75,10 @@ def flown(path, seed, n_layouts):
         actions = policy(observations, generator)
         for layout, action, row in zip(list(seen), actions.tolist(), values.numpy(), strict=True):
             choices[layout].append((action, *row))
-            seen[layout], reward, collided, capped = drones[layout].step(action)
+            seen[layout], reward, collided, at_limit = drones[layout].step(action)
             total[layout] += reward
             note(layout, seen[layout])
-            if collided or capped:
+            if collided or at_limit:
                 ended[layout] = "collision" if collided else "truncated"
                 del seen[layout]
     return {
@@ -86,7 +86,7 @@ def flown(path, seed, n_layouts):
     }
 
 
-def as_flown(episode, fields, poses, choices, ended):
+def as_stepped(episode, fields, poses, choices, ended):
     """Compare an episode of a page with one in plain numbers: the poses, the actions, and the values
     behind them.
     """

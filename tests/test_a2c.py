@@ -17,7 +17,7 @@ from uavnav.algorithms.ppo import make_networks
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
 
-def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_cap_bootstraps_its_own_last_observation():
+def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_limit_bootstraps_its_own_last_observation():
     """Straight ahead at 9 px: 0.09 a step, the time limit after the third; lambda = 1, so that V enters
     at the ends alone.
     """

@@ -90,7 +90,7 @@ def test_on_the_slalom_passages_per_1000_steps_and_per_episode_are_judged_and_dr
     assert titles == [*PER_EPISODE.values(), "passages per 1,000 steps", "passages per episode"]
 
 
-def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
+def test_straight_episode_meets_obstacles_the_sooner_the_more_there_are():
     rows = across.climb(scripted("straight"), LADDERS["density"], episodes=10, max_steps=100)
     flown = rows.groupby("rung")["distance"].mean()
     assert list(flown.index) == list(LADDERS["density"].rungs)
@@ -99,7 +99,7 @@ def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
     assert len(rows) == 11 * 10
 
 
-def test_with_a_goal_the_rule_flies_all_11_densities_and_reaches_5_of_5_goals_where_nothing_is_in_its_way(
+def test_with_a_goal_reactive_flies_all_11_densities_and_reaches_5_of_5_goals_where_nothing_is_in_its_way(
     monkeypatch,
 ):
     monkeypatch.setitem(SPLITS, "test", SPLITS["test"]._replace(n=5))
@@ -153,14 +153,14 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
 
 
 @pytest.mark.parametrize("name", ["late", "density", "reach", "speed"])
-def test_a_script_reads_distances_right_where_a_sensor_reaches_less_far(name):
+def test_a_scripted_policy_reads_distances_right_where_a_sensor_reaches_less_far(name):
     near = make_task(EMPTY, {"sensor_radius": 90.0})
     ladder = LADDERS[name]._replace(rungs=LADDERS[name].rungs[:1])
     rows = across.climb(scripted("reactive"), ladder, episodes=20, max_steps=200, scripted=near)
     assert not rows["terminated"].any()
 
 
-def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
+def test_scripted_policies_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
     small = {"total_frames": 64, "n_envs": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
     run = ppo.train(ppo.PPOConfig(**small, world={"n_turns": 4}), tmp_path / "run", quiet=True)
     said = []
@@ -169,7 +169,7 @@ def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
     assert {one["name"] for one in found} == {"mine"}
 
 
-def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
+def test_without_a_run_scripted_policies_fly_the_world_that_is_named(tmp_path, capsys):
     words = ["evaluate", "straight", "--task", "space", "--across", "sticky", "density", "--episodes", "2"]
     assert main([*words, "--max-steps", "5", "--json", "--out", str(tmp_path / "new" / "folder")]) == 0
     printed, err = capsys.readouterr()
@@ -220,7 +220,7 @@ def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it
 
 
 @pytest.mark.parametrize(("given", "limits"), [(None, (2000, 1000)), (1500, (1500, 1500))])
-def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(
+def test_each_run_flies_by_the_limit_of_its_own_task_unless_one_is_given(
     given, limits, run, tmp_path, monkeypatch
 ):
     config = ppo.PPOConfig(task="goal", total_frames=64, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1)
@@ -274,7 +274,7 @@ def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_episodes_out
     assert np.isfinite(drawn.figure.axes[0].lines[0].get_ydata()).all()
 
 
-def test_alone_a_run_flies_as_in_training_with_no_script_beside_and_no_figure(run, capsys):
+def test_alone_a_run_flies_as_in_training_with_no_scripted_policy_beside_and_no_figure(run, capsys):
     words = [
         "evaluate",
         str(run.path),

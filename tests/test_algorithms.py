@@ -9,7 +9,7 @@ import pytest
 import torch
 from pages import ALL, PAGES, code, table
 from PIL import Image
-from replaying import as_flown, few_sets, flown, recorded
+from replaying import as_stepped, few_layouts, recorded, stepped
 from runs_by_hand import same
 from safetensors.torch import load_file
 
@@ -160,11 +160,11 @@ def test_compiled_a_kill_changes_no_bit_and_the_eager_run_differs_by_rounding(
 def test_compiled_updates_are_eager_ones_from_the_same_batches_call_after_call(algorithm):
     """Later calls begin with other weights, targets and moments than the graph was traced with."""
     config = configured(algorithm, lr=1e-3)  # RMSprop magnifies rounding of small gradients
-    flown = make_collector(make_env(config, True), config.make(compile=False).actor, config)
+    collected = make_collector(make_env(config, True), config.make(compile=False).actor, config)
     eager, compiled = (config.make(compile=compile) for compile in (False, True))
     rows = []
     for frames, batch in zip(
-        range(config.frames_per_iteration, 257, config.frames_per_iteration), flown, strict=False
+        range(config.frames_per_iteration, 257, config.frames_per_iteration), collected, strict=False
     ):
         rows.append([eager.learn(batch.clone(), frames), compiled.learn(batch, frames)])
         torch.testing.assert_close(weights(compiled), weights(eager), rtol=1e-4, atol=1e-5)
@@ -223,13 +223,13 @@ def test_an_annealed_rate_comes_to_0_one_update_after_the_last(algorithm, tmp_pa
     assert configured(algorithm).make(compile=False).learner.optimiser.until == float("inf")
 
 
-def test_a_cap_bootstraps_from_its_own_last_observation_and_a_collision_does_not(algorithm):
+def test_a_limit_bootstraps_from_its_own_last_observation_and_a_collision_does_not(algorithm):
     """The same steps four times: ended by the time limit or by a collision, in one place or in another."""
     config = configured(algorithm, max_steps=3, total_frames=256, n_seeds=1)
-    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
-    batches = [batch.clone() for batch, _ in zip(flown, range(config.iterations), strict=False)]
-    capped = sum(int(batch["next", "truncated"].sum()) for batch in batches)
-    assert capped > 60  # nearly a third of 256 steps
+    collected = make_collector(make_env(config, False), config.make(compile=False).actor, config)
+    batches = [batch.clone() for batch, _ in zip(collected, range(config.iterations), strict=False)]
+    truncated = sum(int(batch["next", "truncated"].sum()) for batch in batches)
+    assert truncated > 60  # nearly a third of 256 steps
     elsewhere = torch.Generator().manual_seed(0)
 
     def learned(collided, moved):
@@ -308,11 +308,11 @@ def test_sampled_episodes_act_as_training_acted_with_the_same_uniform_numbers(al
     for agent, seed in enumerate(config.seeds):
         policy = load_policy(run.path, seed, greedy=False)
         assert (policy.acts, policy.head, policy.epsilon) == (actor.acts, actor.head, config.final_epsilon)
-        flown = policy(observation[agent], torch.Generator().manual_seed(7 + seed))
-        assert torch.equal(flown, trained[agent])
+        sampled = policy(observation[agent], torch.Generator().manual_seed(7 + seed))
+        assert torch.equal(sampled, trained[agent])
         greedy = load_policy(run.path, seed)(observation[agent])
         assert torch.equal(greedy, policy.values(observation[agent]).argmax(-1))
-        assert not torch.equal(greedy, flown)
+        assert not torch.equal(greedy, sampled)
 
 
 def test_an_evaluation_has_a_row_for_each_seed_way_and_set(algorithm, run):
@@ -333,13 +333,13 @@ def test_an_exported_policy_gives_the_same_values(algorithm, run, tmp_path):
 
 
 def test_a_page_replays_its_episodes_as_they_are_flown_one_by_one(algorithm, run):
-    with few_sets():
+    with few_layouts():
         data = recorded(run.path.parent, n_seeds=1, n_layouts=2)
     (configuration,) = data["configurations"]
     assert configuration["values"] == ALGORITHMS[algorithm].shown
-    expected = flown(run.path, 0, 2)
+    expected = stepped(run.path, 0, 2)
     for episode in configuration["episodes"]:
-        as_flown(episode, data["fields"], *expected[episode["layout"]])
+        as_stepped(episode, data["fields"], *expected[episode["layout"]])
 
 
 def test_an_episode_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):

@@ -47,9 +47,9 @@ def test_straight_ahead_in_an_empty_arena_earns_27_times_0_09_less_10():
     )
     assert rows.reward.tolist() == pytest.approx([27 * 0.09 - 10] * 3, abs=1e-9)
     assert rows.terminated.all()
-    capped = evaluate_policy(straight_ahead, EMPTY, episodes=3, max_steps=27)
-    assert capped.reward.tolist() == pytest.approx([27 * 0.09] * 3, abs=1e-9)
-    assert capped.truncated.all()
+    limited = evaluate_policy(straight_ahead, EMPTY, episodes=3, max_steps=27)
+    assert limited.reward.tolist() == pytest.approx([27 * 0.09] * 3, abs=1e-9)
+    assert limited.truncated.all()
 
 
 @pytest.mark.parametrize(("edge", "steps"), [(50, 3), (57, 3), (57.5, 4), (150, 14)])
@@ -60,7 +60,7 @@ def test_straight_ahead_hits_a_circle_above_it_after_its_edges_distance_less_30_
 
 
 @pytest.mark.slow
-def test_reactive_flies_the_committed_rows_10000_steps_and_3000_px_on_200_test_sets_without_a_collision():
+def test_reactive_flies_the_committed_rows_10000_steps_and_3000_px_on_200_test_layouts_without_a_collision():
     rows = evaluate_policy(reactive, episodes=200, max_steps=10_000)
     pd.testing.assert_frame_equal(pd.read_parquet(COMMITTED)[rows.columns], rows)
     assert rows.truncated.all()
@@ -99,7 +99,7 @@ def test_reactive_goes_straight_as_long_as_9_px_towards_the_obstacle_leave_30(
 
 @pytest.mark.parametrize("name", BASELINES)
 @pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
-def test_each_script_answers_every_batch_shape_with_whole_numbers_below_100(name, shape):
+def test_each_scripted_policy_answers_every_batch_shape_with_whole_numbers_below_100(name, shape):
     action = BASELINES[name](
         torch.rand(*shape, 50 if name == "orca" else 30), torch.Generator().manual_seed(0)
     )
@@ -141,7 +141,7 @@ def test_in_a_world_of_other_fields_reactive_flies_on_and_touches_no_wall(task, 
 @pytest.mark.parametrize(
     ("task", "chosen"), [("drone", "10 turns and 10"), ("space-moving", "5 turns and 4")]
 )
-def test_a_script_refuses_a_world_of_other_actions_in_one_line(name, task, chosen):
+def test_a_scripted_policy_refuses_a_world_of_other_actions_in_one_line(name, task, chosen):
     whole = make_task("test", {"n_distances": 3}, task=task)
     with pytest.raises(
         ValueError, match=f"n_distances=3: scripted policies choose among {chosen} distances; leave them out"

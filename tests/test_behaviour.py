@@ -255,7 +255,7 @@ def test_heat_with_squares_that_do_not_divide_the_window():
 # -- files ---------------------------------------------------------------------------------------------------
 
 
-def not_flown(path, **config):
+def unevaluated(path, **config):
     """A finished run of DQN's seed 0 that has not flown."""
     return Run(write_run(path, rows(0), **config))
 
@@ -264,7 +264,7 @@ def test_episodes_in_the_empty_arena_are_read_with_poses_from_the_four_headings_
     tmp_path,
 ):
     """A step of 9 px each way leaves 271 px to the wall above and below, and 291 beside."""
-    run = not_flown(tmp_path / "run")
+    run = unevaluated(tmp_path / "run")
     assert read(run, in_arena=True) is None
     flown = pd.concat([table(layout=layout, actions=[STOP, FULL_SPEED]) for layout in range(4)])
     flown[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "arena.parquet")
@@ -277,7 +277,7 @@ def test_episodes_in_the_empty_arena_are_read_with_poses_from_the_four_headings_
 
 
 def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_is_none(tmp_path):
-    run = not_flown(tmp_path / "run")
+    run = unevaluated(tmp_path / "run")
     assert read(run) is None
     written = table(actions=[FULL_SPEED, *turning(5, distance=2)])
     written[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "behaviour.parquet")
@@ -294,7 +294,7 @@ def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_
 
 
 def test_of_the_modes_of_a_file_the_wanted_ones_are_read_as_with_the_others(tmp_path):
-    run = not_flown(tmp_path / "run")
+    run = unevaluated(tmp_path / "run")
     greedy, sampled = table(actions=[FULL_SPEED] * 3), table(actions=[STOP, FULL_SPEED])
     flown = pd.concat([greedy.assign(mode="greedy"), sampled.assign(mode="sampled")])
     flown[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "behaviour.parquet")
@@ -305,13 +305,13 @@ def test_of_the_modes_of_a_file_the_wanted_ones_are_read_as_with_the_others(tmp_
 
 
 def test_a_file_from_before_poses_were_left_out_is_read_alike(tmp_path):
-    run = not_flown(tmp_path / "run")
+    run = unevaluated(tmp_path / "run")
     table([(1, 2)]).to_parquet(run.path / "behaviour.parquet")  # whose poses are not looked at
     assert read(run)[["x", "y"]].to_numpy().tolist() == [[400, 300]]
 
 
 def test_episodes_of_a_run_with_random_headings_begin_with_those_of_its_evaluation(tmp_path):
-    run = not_flown(tmp_path / "run", world={"start_heading": "random"})
+    run = unevaluated(tmp_path / "run", world={"start_heading": "random"})
     stops = pd.concat([table(layout=layout) for layout in range(10)])
     stops.to_parquet(run.path / "behaviour.parquet")
     begun = episodes.headings(on(make_task(world=World(start_heading="random"))), 200)[:10]
@@ -363,7 +363,7 @@ def with_header(rows, **protocol):
     ],
 )
 def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
-    run = not_flown(tmp_path / "run")
+    run = unevaluated(tmp_path / "run")
     change(table()).to_parquet(run.path / "behaviour.parquet")
     with pytest.raises(RunError, match=f"behaviour.parquet: .*{message}") as caught:
         read(run)
@@ -386,7 +386,7 @@ def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
     ],
 )
 def test_episodes_of_another_world_than_the_drones_are_refused_in_one_line(tmp_path, config, message):
-    run = not_flown(tmp_path / "run", **config)
+    run = unevaluated(tmp_path / "run", **config)
     table().to_parquet(run.path / "behaviour.parquet")
     with pytest.raises(RunError, match=message) as caught:
         read(run)
@@ -394,7 +394,7 @@ def test_episodes_of_another_world_than_the_drones_are_refused_in_one_line(tmp_p
 
 
 def test_a_damaged_table_is_refused_in_one_line(tmp_path):
-    run = not_flown(tmp_path / "run")
+    run = unevaluated(tmp_path / "run")
     (run.path / "behaviour.parquet").write_bytes(b"x" * 100)
     with pytest.raises(
         RunError, match=r"behaviour.parquet: missing or damaged; evaluate the run again"

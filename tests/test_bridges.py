@@ -334,7 +334,7 @@ def test_an_activation_in_plain_text_is_read_and_the_pickle_beside_it_is_not(nam
     assert not (tmp_path / "a pickle was executed").exists()
 
 
-def test_beside_a_script_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_path, capsys):
+def test_beside_a_scripted_policy_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_path, capsys):
     *_, path, activation = saved
     words = [
         "--task",

@@ -372,7 +372,7 @@ def test_a_study_as_the_paper_says_replicates_its_claim_and_a_reversed_one_does_
     assert true.counting == {12: 4, 13: 2, 14: 1, 15: 2, 16: 12}[number]
 
 
-def test_worlds_that_nobody_has_flown_leave_their_claims_open_and_the_others_as_they_are():
+def test_tasks_without_evaluations_leave_their_claims_open_and_the_others_as_they_are():
     found = grades(as_claimed(1, without=("space", "space-moving")))
     assert {number: one.name for number, one in found.items() if one.name != REPLICATES} == {
         14: OPEN,

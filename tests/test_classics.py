@@ -138,7 +138,7 @@ def test_the_half_space_of_orca_has_no_velocity_that_collides_and_is_tight_at_it
         ("orca", SpaceMovingWorld(), "compare it with a run of task=moving world.sense_velocity=true"),
     ],
 )
-def test_what_a_script_cannot_see_is_refused_in_one_line(name, world, told):
+def test_what_a_scripted_policy_cannot_see_is_refused_in_one_line(name, world, told):
     with pytest.raises(ConfigError, match=told):
         getattr(classics, name)(torch.zeros(2, 50), world=world)
 

@@ -113,7 +113,7 @@ def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
     assert "the paper" not in seen
 
 
-def test_episodes_under_another_cap_are_refused():
+def test_episodes_under_another_limit_are_refused():
     other = made_up("short", [1.0], protocol=Protocol("test", EPISODES, 500).header())
     with pytest.raises(compare.RunError, match=r"above on 200 .* 10,000 steps and short on 200 .* 500 steps"):
         check([ABOVE, other])
@@ -136,7 +136,7 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
     assert f"<p>{line}.</p>" in (tmp_path / "page.html").read_text()
 
 
-def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_papers():
+def test_scripted_policies_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_papers():
     drone, moving = "results/worlds/vectorised/drone/ppo/tanh", "results/worlds/vectorised/moving/ppo/tanh"
     protocol = Protocol("test", 2, 9).header()
     flown = [compare.fly("straight", protocol, None, run).place for run in (drone, moving)]
@@ -146,7 +146,7 @@ def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_pape
     assert "sensor_arc" not in run.place
 
 
-def test_a_scripts_rows_beside_a_run_are_the_kept_ones_or_those_that_it_flies():
+def test_a_scripted_policys_rows_beside_a_run_are_the_kept_ones_or_those_that_it_flies():
     """The kept ones are what it flies: see test_baselines."""
     _, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
     assert kept.episodes.equals(pd.read_parquet("results/baselines/reactive.parquet"))
@@ -165,13 +165,13 @@ def test_columns_are_named_without_the_folders_that_runs_share():
         assert compare._short(alone) == alone
 
 
-def test_a_committed_run_is_read_and_not_flown():
+def test_a_committed_run_is_read_and_not_evaluated():
     (run,) = contend(["results/vectorised/ppo/tanh"])
     assert len(run.episodes) == 20 * EPISODES
     assert run.configuration is not None
 
 
-def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
+def test_what_is_no_run_flies_as_the_first_run_was_evaluated(monkeypatch):
     short = made_up("short", [1.0, 2.0], protocol=Protocol("test", 3, 40).header())
     monkeypatch.setattr(compare, "_of_run", lambda name: short)
     file = "results/algorithms/fast/ppo/tanh/policy.safetensors"

@@ -299,7 +299,7 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
 
 
 @pytest.mark.parametrize("limit", [None, 7])
-def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstrap_where_no_collision_was(
+def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_limit_and_bootstrap_where_no_collision_was(
     tmp_path, limit
 ):
     """25 steps of 16 environments in which nothing is learned, and every world's episode once more by a slow

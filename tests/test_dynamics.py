@@ -81,7 +81,7 @@ def test_the_drone_turns_before_it_moves_9_px():
 @pytest.mark.parametrize(
     ("heading", "end"), [(0, (409, 300)), (90, (400, 309)), (180, (391, 300)), (270, (400, 291))]
 )
-def test_straight_flight_covers_nine_pixels_a_step_without_drift(heading, end):
+def test_straight_episode_covers_nine_pixels_a_step_without_drift(heading, end):
     assert fly([9], heading=heading) == (*end, heading)
 
 

@@ -142,7 +142,7 @@ def test_a_run_notes_its_two_workers_and_its_study(alone):
     assert run.meta["study"] == "mine"
 
 
-def test_what_workers_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
+def test_what_workers_have_evaluated_is_the_evaluation_of_all_seeds(alone, tmp_path):
     shutil.copytree(alone / "ppo/tanh", tmp_path / "run")
     evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True, measures=True)
     for name in ("evaluation-test-3-50.parquet", "behaviour-test-3-50.parquet"):

@@ -196,7 +196,7 @@ def test_a_masked_reset_restarts_2_of_5_rows_and_leaves_the_others_bit_identical
     assert env.state.x[mask].tolist() == [400, 400]
 
 
-def test_after_an_episode_drone_is_at_centre_in_the_next_of_3_sets_and_the_last_is_followed_by_the_first():
+def test_after_an_episode_drone_is_at_centre_in_the_next_of_3_layouts_and_the_last_is_followed_by_the_first():
     env = uavnav.DroneEnv([1], layouts=layouts.generate(3, 8, seed=1))
     order = [env.state.layout.item()]
     for after, _, following in drive(env, actions_of(env, 600)):
@@ -219,7 +219,7 @@ def test_the_terminal_observation_is_of_the_contact_and_the_next_of_the_start_28
 
 
 @pytest.mark.parametrize("distance", range(1, 10))
-def test_a_straight_flight_ends_30_px_from_the_wall_and_earns_a_hundredth_a_pixel_and_minus_10(distance):
+def test_a_straight_episode_ends_30_px_from_the_wall_and_earns_a_hundredth_a_pixel_and_minus_10(distance):
     # From y = 300 px to 550 px, where the wall at 580 px touches the drone.
     steps = math.ceil(250 / distance)
     env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0))
@@ -234,7 +234,7 @@ def test_a_straight_flight_ends_30_px_from_the_wall_and_earns_a_hundredth_a_pixe
     ("limit", "terminated", "truncated"), [(27, False, True), (28, True, False), (29, True, False)]
 )
 @pytest.mark.parametrize("driver", DRIVERS)
-def test_a_cap_of_27_truncates_and_the_collision_in_step_28_terminates_even_at_the_cap(
+def test_a_limit_of_27_truncates_and_the_collision_in_step_28_terminates_even_at_the_limit(
     driver, limit, terminated, truncated
 ):
     env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0), max_steps=limit)
@@ -248,7 +248,7 @@ def test_a_cap_of_27_truncates_and_the_collision_in_step_28_terminates_even_at_t
     assert not following["truncated"].item()
 
 
-def test_turning_in_place_for_400_steps_never_ends_without_a_cap():
+def test_turning_in_place_for_400_steps_never_ends_without_a_limit():
     env = uavnav.DroneEnv([1])
     rows = [after for after, _, _ in drive(env, torch.full((400, 1), 50))]
     assert not any(row["done"].item() for row in rows)

@@ -71,7 +71,7 @@ def test_a_film_of_set_260_is_the_row_of_an_evaluation_of_261_sets():
     assert (len(flown.states) - 1, float(flown.states[-1].reward)) == (row.steps, row.reward)
 
 
-def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_there_are():
+def test_random_headings_belong_to_the_layout_whoever_flies_and_however_many_there_are():
     task = on(WORLDS["random, additive"], episodes=200)
     headings = episodes.headings(task, 200)
     assert ((headings >= 0) & (headings < 360)).all()
@@ -185,7 +185,7 @@ def test_a_compiled_film_is_the_row_of_a_compiled_evaluation(greedy, compiled_st
     }
 
 
-def test_episodes_of_fewer_than_2000_steps_or_without_a_cap_or_a_compiler_are_not_compiled(monkeypatch):
+def test_episodes_of_fewer_than_2000_steps_or_without_a_limit_or_a_compiler_are_not_compiled(monkeypatch):
     monkeypatch.setattr(machine.graph, "problem", lambda device: None)
     assert (machine.episodes(1_999), machine.episodes(None)) == (False, False)
     assert machine.episodes(2_000)

@@ -66,7 +66,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_an_episode_that_never_hits_is_truncated_at_the_cap_and_no_collision():
+def test_an_episode_that_never_hits_is_truncated_at_the_limit_and_no_collision():
     rows = evaluate_policy(
         lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64),
         episodes=3,
@@ -104,7 +104,7 @@ def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(
 
 
 @pytest.mark.parametrize("limit", [1, 27, 28])
-def test_an_episode_that_the_cap_cuts_off_is_truncated_and_one_that_hits_in_that_step_terminated(limit):
+def test_an_episode_that_the_limit_cuts_off_is_truncated_and_one_that_hits_in_that_step_terminated(limit):
     rows = evaluate_policy(straight_ahead, uavnav.layouts.generate(2, k=0), episodes=2, max_steps=limit)
     assert dict(rows.dtypes.astype(str)) == EPISODE_COLUMNS
     assert rows.layout.tolist() == [0, 1]
@@ -301,7 +301,7 @@ def test_layout_files_of_one_name_and_other_obstacles_have_files_of_their_own(tm
     assert all(re.fullmatch(r"evaluation-own-[0-9a-f]{8}-3-50\.parquet", name) for name in names)
 
 
-def test_another_number_of_episodes_cap_or_split_goes_to_its_own_file_and_replaces_no_other(
+def test_another_number_of_episodes_limit_or_split_goes_to_its_own_file_and_replaces_no_other(
     small, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 4, 9, None, "drone", None, False))
@@ -421,7 +421,7 @@ def test_the_papers_column_stands_beside_runs_and_episodes_of_its_place_alone(
         (["--task", "goal"], "random on 3 test layouts, task goal"),
     ],
 )
-def test_the_table_says_what_is_unusual_in_how_policies_were_flown(words, title, capsys):
+def test_the_table_says_what_is_unusual_in_how_policies_were_evaluated(words, title, capsys):
     assert fly_command(["random", "--episodes", "3", *words]) == 0
     assert capsys.readouterr().out.splitlines()[0].strip() == title
 

@@ -320,6 +320,6 @@ def test_stable_baselines3_sees_the_stack():
     assert env.observation_space.shape == (60,)
 
 
-def test_the_reactive_rule_looks_at_the_newest_observation_of_a_stack():
+def test_reactive_looks_at_the_newest_observation_of_a_stack():
     newest, older = torch.rand(2, 50, 30)
     assert torch.equal(reactive(torch.cat([newest, older], -1)), reactive(newest))

@@ -72,7 +72,7 @@ def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_
     assert len(whole.episodes) > 8
 
 
-def test_one_training_is_flown_exported_and_replayed_and_its_evaluations_with_other_faults_lie_apart(
+def test_one_training_is_evaluated_exported_and_replayed_and_its_evaluations_with_other_faults_lie_apart(
     tmp_path,
 ):
     run = ppo.train(CONFIGS["ppo"], out=tmp_path / "run", quiet=True)

@@ -304,7 +304,7 @@ def test_a_ranking_shows_the_seeds_and_cuts_the_wide_intervals_of_two():
     assert high > found.high
 
 
-def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
+def test_survival_steps_down_where_episodes_end_and_marks_the_limit():
     shares = stats.survival(np.array([10.0, 20.0, 100.0, 100.0]), np.array([True, True, False, False]))
     drawn = charts.survival({"PPO tanh (n = 1)": shares}, limit=100)
     (axes,) = drawn.figure.axes
@@ -384,7 +384,7 @@ def test_the_figure_of_test_episodes_shows_the_means_and_intervals_of_the_table_
     assert "after 10,000 steps" in figure.caption
 
 
-def test_the_rule_is_a_dashed_line_beside_configurations_and_where_there_is_none_there_is_no_line():
+def test_the_scripted_policy_is_a_dashed_line_beside_configurations_and_without_one_there_is_no_line():
     rows = {"PPO tanh": np.array([1.0, 2.0]), "DQN tanh": np.array([0.0, 1.0])}
     drawn = charts.intervals(rows, {}, "reward", 428.0)
     for axes in drawn.figure.axes:

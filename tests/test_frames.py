@@ -105,7 +105,7 @@ def test_every_pair_of_configurations_and_how_probably_the_first_is_better():
     }
 
 
-def test_interactions_by_metric_and_reading_of_the_papers_configurations_alone():
+def test_interactions_by_metric_and_definition_of_the_papers_configurations_alone():
     means = {
         f"{algorithm}_{activation}": 20 * place for place, (algorithm, activation) in enumerate(paper.TABLES)
     }
@@ -141,15 +141,15 @@ def test_seeds_that_find_the_papers_difference_are_of_pairs_within_an_algorithm(
 # -- survival ------------------------------------------------------------------------------------------------
 
 
-def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
+def test_a_limit_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     """Seed 0 collides at 10 and 20 steps and is cut off at 30 and 40, so that half of it never ends; seed 1
     collides at 100 and 300 steps: a mean of 200.
     """
     cut = (False, True)
     first = [(0, 10, 0, 0.0), (0, 20, 0, 0.0), (0, 30, 0, 0.0, *cut), (0, 40, 0, 0.0, *cut)]
-    flown = own_episodes(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
+    tested = own_episodes(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
     one = of_rewards(
-        [0.0, 0.0], flown=pd.concat([flown, own_episodes((0, 9999, 0, 0.0)).assign(mode="greedy")])
+        [0.0, 0.0], tested=pd.concat([tested, own_episodes((0, 9999, 0, 0.0)).assign(mode="greedy")])
     )
     curves, table = frames.survival(
         {("ppo", "tanh"): one, ("ppo", "relu"): of_rewards([0.0], ("ppo", "relu"))}, {}
@@ -163,7 +163,7 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     assert (row["low"], row["high"]) == pytest.approx(tuple(interval))
     assert [*curves] == ["PPO tanh"]
     assert curves["PPO tanh"].loc[20.0] == pytest.approx(4 / 6)
-    naive = flown.groupby("seed")["steps"].mean().mean()
+    naive = tested.groupby("seed")["steps"].mean().mean()
     assert row["restricted_mean"] > 10 * naive  # as if a time limit were a collision
     assert frames.survival({}, {})[1].shape == (0, 7)
 
@@ -307,9 +307,9 @@ def test_diagnostics_are_of_the_last_tenth_and_columns_that_a_run_lacks_have_no_
 
 def test_episodes_of_the_main_study_by_configuration():
     table = pd.DataFrame({"mode": ["greedy"], "seed": [0], "corridor": [0.5]})
-    found = frames.flown({("main", "ppo", "leaky_relu"): table, ("initial", "ppo", "tanh"): table})
+    found = frames.watched({("main", "ppo", "leaky_relu"): table, ("initial", "ppo", "tanh"): table})
     assert found["configuration"].tolist() == ["PPO leaky_relu"]
-    assert len(frames.flown({})) == 0
+    assert len(frames.watched({})) == 0
 
 
 def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
@@ -330,8 +330,8 @@ def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
 def test_a_claims_grade_in_a_column_counts_its_parts_and_says_how_many_seeds_are_behind_it():
     finding = audit(lambda *_, **__: np.empty(0), of_paper)[0]
     one = finding._replace(claim=1, verdict="replicates", standing="counts", n=40)
-    unflown = one._replace(claim=2, verdict="open", standing="no runs", n=0)
-    audits = {"first": [one, one, unflown], "second": [one, one._replace(verdict="reverses", n=5)]}
+    unevaluated = one._replace(claim=2, verdict="open", standing="no runs", n=0)
+    audits = {"first": [one, one, unevaluated], "second": [one, one._replace(verdict="reverses", n=5)]}
     found = frames.grades(audits)
     assert found.to_numpy().tolist() == [
         [1, "first", "replicates", 2, 2, 40, 40],
@@ -398,7 +398,7 @@ def test_how_many_seeds_there_are_in_words(counts, said):
     assert frames.least_to_most(counts, "seed") == said
 
 
-def test_a_reading_is_worked_out_once(monkeypatch):
+def test_a_definition_is_worked_out_once(monkeypatch):
     asked = []
     monkeypatch.setattr(
         "uavnav.report.configurations.per_frame", lambda rows, n: asked.append(n) or rows[["seed", "reward"]]
@@ -438,7 +438,7 @@ def in_stretches(*seeds, frames=1_000_000, key=KEY, **more):
 REACTIVE = on_sets((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
 
 
-def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_students_interval():
+def test_the_gap_is_each_seeds_mean_over_the_layouts_that_reactive_flew_with_students_interval():
     """Seed 0 is 10 and 30 below `reactive`, seed 1 20 above and 0: gaps of -20 and 10, which differ by 30."""
     mine = [
         (0, 0, 100, 30.0, True),
@@ -447,9 +447,9 @@ def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_studen
         (1, 1, 100, 60.0, True),
     ]
     greedy = [(0, 0, 100, 40.0, True)]
-    flown = pd.concat([on_sets(*mine).assign(mode="sampled"), on_sets(*greedy).assign(mode="greedy")])
+    tested = pd.concat([on_sets(*mine).assign(mode="sampled"), on_sets(*greedy).assign(mode="greedy")])
     reactive, first, second = frames.gaps(
-        {KEY: in_stretches([0.0], flown=flown)}, {"reactive": REACTIVE}
+        {KEY: in_stretches([0.0], tested=tested)}, {"reactive": REACTIVE}
     ).to_dict("records")
     assert (
         reactive["who"],
@@ -487,7 +487,7 @@ def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_studen
     ],
 )
 def test_episodes_of_another_test_have_no_gap(mine):
-    own = in_stretches([0.0], flown=on_sets(*mine).assign(mode="sampled"))
+    own = in_stretches([0.0], tested=on_sets(*mine).assign(mode="sampled"))
     found = frames.gaps({KEY: own}, {"reactive": REACTIVE})
     assert found["gap"].isna().all()
     assert found["reward"].tolist() == [50, 30]
@@ -587,7 +587,7 @@ def test_each_study_has_a_row_a_configuration_and_the_main_one_those_of_the_pape
 FRAMES = 1_000_000
 
 
-def in_worlds(n_envs=1, **configurations):
+def in_envs(n_envs=1, **configurations):
     """Configurations of DQN, an activation each, from (reward in the last 100,000 frames, steps of each open
     episode) a seed.
 
@@ -617,8 +617,8 @@ def spread(middle, half):
 
 
 def test_scatter_is_the_difference_of_standard_deviations_late_in_training_mean_over_activations():
-    one = in_worlds(tanh=spread(5e3, 1000.0), relu=spread(9e3, 3000.0))
-    many = in_worlds(16, tanh=spread(0.0, 500.0), relu=spread(3e3, 500.0), sigmoid=spread(0.0, 9e9))
+    one = in_envs(tanh=spread(5e3, 1000.0), relu=spread(9e3, 3000.0))
+    many = in_envs(16, tanh=spread(0.0, 500.0), relu=spread(3e3, 500.0), sigmoid=spread(0.0, 9e9))
     row = worlds(one, many).loc["scatter"]
     scale = stats.deviations(
         np.array([-1.0, -1.0, 0.0, 1.0, 1.0])
@@ -630,8 +630,8 @@ def test_scatter_is_the_difference_of_standard_deviations_late_in_training_mean_
 
 
 def test_open_episodes_are_those_of_each_seed_that_no_crash_ended():
-    one = in_worlds(tanh=[(0.0, 600_000), (0.0, 200_000), (0.0,)])
-    many = in_worlds(16, tanh=[(0.0, 30_000, 10_000), (0.0, 20_000, 20_000), (0.0, 40_000)])
+    one = in_envs(tanh=[(0.0, 600_000), (0.0, 200_000), (0.0,)])
+    many = in_envs(16, tanh=[(0.0, 30_000, 10_000), (0.0, 20_000, 20_000), (0.0, 40_000)])
     found = worlds(one, many)
     assert found.loc["longest", "value"] == pytest.approx(
         (600_000 + 200_000 + 0 - 30_000 - 20_000 - 40_000) / 3
@@ -641,15 +641,15 @@ def test_open_episodes_are_those_of_each_seed_that_no_crash_ended():
 
 def test_the_order_is_kendalls_tau_of_the_activations_means():
     rewards = {"tanh": 4e4, "sigmoid": 1e4, "relu": 3e4, "leaky_relu": 2e4}
-    one = in_worlds(**{name: spread(own, 1.0) for name, own in rewards.items()})
+    one = in_envs(**{name: spread(own, 1.0) for name, own in rewards.items()})
     row = worlds(one, one).loc["order"]
     assert row[["value", "low", "high"]].tolist() == pytest.approx([1, 1, 1])
-    turned = in_worlds(16, **{name: spread(-own, 1.0) for name, own in rewards.items()})
+    turned = in_envs(16, **{name: spread(-own, 1.0) for name, own in rewards.items()})
     assert worlds(one, turned).loc["order", ["value", "low", "high"]].tolist() == pytest.approx([-1, -1, -1])
 
 
 def test_without_a_study_in_one_world_there_is_nothing_to_compare():
-    main = in_worlds(16, tanh=spread(0.0, 1.0))
+    main = in_envs(16, tanh=spread(0.0, 1.0))
     assert frames.one_against_many(NO_STUDIES._replace(main=main)).empty
     assert [*frames.one_against_many(NO_STUDIES)] == ["measure", "algorithm", "value", "low", "high", "n"]
 

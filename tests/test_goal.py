@@ -231,7 +231,7 @@ def test_until_an_episode_ends_its_reward_is_the_way_gained_less_a_hundredth_a_p
     assert state.reward.item() == pytest.approx(0.01 * gained - 0.01 * penalties, abs=1e-4)
 
 
-def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(all_layouts):
+def test_its_own_reward_and_a_limit_of_1000_steps_are_what_is_not_given(all_layouts):
     assert (make_task(all_layouts, task="goal").reward, make_task(all_layouts, task="goal").max_steps) == (
         "goal",
         1000,
@@ -306,7 +306,7 @@ def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, all_layo
     np.testing.assert_allclose(rows["shortest"], np.tile(all_layouts[:3, 8, 2].numpy(), 2))
 
 
-def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way_flown():
+def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_path():
     rows = pd.DataFrame({"seed": 0, "succeeded": [1, 1, 0, 0], "terminated": [True, True, True, False],
                          "truncated": [False, False, False, True], "distance": [200, 400, 50, 900],
                          "shortest": [250.0, 300.0, 200.0, 200.0]})  # fmt: skip
@@ -314,7 +314,7 @@ def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way
     assert own.to_dict() == {"success": 50, "collision": 25, "time_out": 25, "spl": (1 + 0.75) / 4}
 
 
-def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(all_layouts):
+def test_reactive_reaches_at_least_60_percent_of_60_goals(all_layouts):
     rows = evaluation.fly(
         {0: BASELINES["reactive"]}, make_task(all_layouts[:60], task="goal", max_steps=300)
     ).episodes
@@ -356,7 +356,7 @@ def chosen_by_hand(slots, goal, away):
     return None if close else (turn, 0 if abs(wanted) >= 45 else max(int(min(rooms)), 0))
 
 
-def test_the_reactive_rule_takes_the_free_direction_nearest_to_the_goal_at_2000_poses(all_layouts):
+def test_reactive_takes_the_free_direction_nearest_to_the_goal_at_2000_poses(all_layouts):
     task, n, generator = make_task(all_layouts, task="goal"), 2000, torch.Generator().manual_seed(4)
     layout, heading = (torch.randint(most, (n,), generator=generator) for most in (len(all_layouts), 360))
     x, y = (torch.rand(2, n, generator=generator) * torch.tensor([[700.0], [500.0]]) + 50).unbind()
@@ -379,7 +379,7 @@ def test_the_reactive_rule_takes_the_free_direction_nearest_to_the_goal_at_2000_
 @pytest.mark.parametrize(
     ("kind", "more"), [(dqn.DQNConfig, {}), (c51.C51Config, {"v_min": -10, "v_max": 10}), (sac.SACConfig, {})]
 )
-def test_what_learns_from_replay_bootstraps_at_the_cap_that_the_task_has_by_default(kind, more):
+def test_what_learns_from_replay_bootstraps_at_the_limit_that_the_task_has_by_default(kind, more):
     config = kind(task="goal", **more)
     assert config.max_steps == config.make_task().max_steps == 1000
     assert config.keeps_next_observations  # no other row has what is seen at the time limit

@@ -106,7 +106,7 @@ def test_stepping_before_a_reset_is_refused_by_both_kinds():
             env.step(action)
 
 
-def test_the_straight_flight_earns_0_09_in_27_steps_and_minus_10_in_the_28th():
+def test_the_straight_episode_earns_0_09_in_27_steps_and_minus_10_in_the_28th():
     env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0))
     env.reset(seed=0)
     steps = [env.step(STRAIGHT) for _ in range(math.ceil(250 / 9))]
@@ -117,7 +117,7 @@ def test_the_straight_flight_earns_0_09_in_27_steps_and_minus_10_in_the_28th():
 
 
 @pytest.mark.parametrize(("limit", "terminated", "truncated"), [(27, False, True), (28, True, False)])
-def test_a_cap_of_27_truncates_and_a_collision_at_the_cap_of_28_only_terminates(limit, terminated, truncated):
+def test_a_limit_of_27_truncates_and_a_collision_at_one_of_28_only_terminates(limit, terminated, truncated):
     env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0), max_steps=limit)
     env.reset(seed=0)
     *early, last = [env.step(STRAIGHT) for _ in range(limit)]

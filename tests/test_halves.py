@@ -41,7 +41,7 @@ def test_two_halves_leave_the_same_bytes_as_one_process(flown, faults):
     assert flown(1, faults) == flown(0, faults)
 
 
-def test_a_half_whose_process_fails_is_flown_here(flown, monkeypatch):
+def test_a_half_whose_process_fails_is_evaluated_here(flown, monkeypatch):
     alone = flown(0)
     monkeypatch.setattr(machine, "_do", lambda work, said: None)
     assert flown(1) == alone

@@ -59,7 +59,7 @@ def test_verify_compares_kept_policies(whole, tmp_path):
     assert "policy-at-0.5.safetensors: policy.0.bias differs" in verify(run, quiet=True).lines[1]
 
 
-def test_kept_policies_are_flown_into_rows_of_their_own(whole):
+def test_kept_policies_are_evaluated_into_rows_of_their_own(whole):
     kept, last = (evaluate_run(whole, 3, 40, quiet=True, at=at) for at in (0.25, None))
     assert (whole.path / "evaluation-at-0.25-test-3-40.parquet").is_file()
     assert (kept.attrs.get("at"), last.attrs.get("at")) == (0.25, None)

@@ -35,7 +35,7 @@ def obstacles(train):
 
 
 @pytest.mark.parametrize("split", SHAPES)
-def test_the_shipped_layout_files_of_10000_and_1000_and_1000_sets_are_what_their_headers_generate(split):
+def test_the_shipped_layout_files_of_10000_and_1000_and_1000_layouts_are_what_their_headers_generate(split):
     all_layouts, header = layouts.read(split)
     assert all_layouts.shape == SHAPES[split]
     assert all_layouts.dtype == torch.float32
@@ -168,7 +168,7 @@ DRAWN_BY = [
 
 
 @pytest.mark.parametrize(("world", "told"), DRAWN_BY)
-def test_a_header_has_the_fields_of_every_world_that_its_sets_were_drawn_by_and_that_are_not_as_usual(
+def test_a_header_has_the_fields_of_every_world_that_its_layouts_were_drawn_by_and_that_are_not_as_usual(
     world, told, tmp_path
 ):
     kind, path = layouts.KINDS[layouts.kind_of(world)], tmp_path / "own.safetensors"

@@ -28,7 +28,7 @@ def test_straight_to_the_wall_is_28_steps_of_9_px_of_which_4_end_within_30_px_of
 
 
 @pytest.mark.parametrize("name", ["drone", "space"])
-def test_of_random_flight_they_are_those_of_a_loop_over_its_poses(name):
+def test_of_random_actions_they_are_those_of_a_loop_over_its_poses(name):
     task = on(make_task(EMPTY, task=name), "validation", 3, 60)
     rows = flown(uniform_random, task)
     poses = {place: [] for place in range(3)}
@@ -78,7 +78,7 @@ def test_barns_score_is_a_quarter_at_best_and_counts_only_successes():
     ]
 
 
-def test_beside_each_other_who_was_flown_without_them_shows_a_dash():
+def test_beside_each_other_who_was_evaluated_without_them_shows_a_dash():
     task = on(make_task(EMPTY), "validation", 4, 50)
     tables = {
         name: metrics.per_seed(rows).join(metrics.own(rows))

@@ -116,7 +116,7 @@ def test_of_an_unfinished_run_a_worker_that_has_finished_counts_too(tmp_path):
 
 
 @pytest.mark.usefixtures("brief")
-def test_damaged_episodes_of_scripts_and_people_are_named_and_stop_nothing(runs, tmp_path):
+def test_damaged_episodes_of_scripted_policies_and_people_are_named_and_stop_nothing(runs, tmp_path):
     for name in ("reactive.parquet", "human.parquet"):
         (runs / "baselines" / name).write_bytes(b"no table")
     found = mine.gather(collect([runs])[0], mine.unfinished([runs]), [runs], tmp_path, lambda _: None)

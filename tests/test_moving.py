@@ -218,7 +218,7 @@ def test_obstacles_that_move_are_never_counted_as_going_round():
     assert not evaluation._repeatable(policy, policy.task)
 
 
-def test_among_moving_obstacles_the_reactive_rule_dodges_and_lives_500_steps_of_2000_and_half_as_long_again(
+def test_among_moving_obstacles_reactive_dodges_and_lives_500_steps_of_2000_and_half_as_long_again(
     all_layouts,
 ):
     """Whatever comes after step 800 can only add to its 500."""
@@ -233,7 +233,7 @@ def test_among_moving_obstacles_the_reactive_rule_dodges_and_lives_500_steps_of_
     assert steps[0] > max(500, 1.5 * steps[1])
 
 
-def test_the_rule_that_dodges_turns_away_from_what_is_straight_ahead_and_flies_on_where_nothing_is():
+def test_the_policy_that_dodges_turns_away_from_what_is_straight_ahead_and_flies_on_where_nothing_is():
     nothing = torch.tensor([0.0, 0.0, 1.0]).repeat(10)
     wall = torch.cat([torch.tensor([0.0, 1.0, 0.3]), nothing[3:]])
     straight, away = dodge(torch.stack([nothing, wall])).tolist()
@@ -243,7 +243,7 @@ def test_the_rule_that_dodges_turns_away_from_what_is_straight_ahead_and_flies_o
     assert dodge(with_velocities).item() == 9
 
 
-def test_with_velocities_and_a_stack_the_rule_sees_the_newest_observation_alone():
+def test_with_velocities_and_a_stack_reactive_sees_the_newest_observation_alone():
     # 150 numbers, which five observations of 30 have too
     task = make_task("test", SENSED, task="moving", stack=3)
     sensed = torch.rand(200, 150, generator=torch.Generator().manual_seed(0))

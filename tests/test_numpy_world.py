@@ -84,7 +84,7 @@ def test_options_pick_layout_999_and_the_next_reset_takes_0():
     assert env.reset()[1]["layout"] == 0
 
 
-def test_wrong_layouts_actions_caps_and_layout_files_are_refused_and_a_step_before_the_reset():
+def test_wrong_layouts_actions_limit_and_layout_files_are_refused_and_a_step_before_the_reset():
     env = NumpyDroneEnv("test")
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(0)

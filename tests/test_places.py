@@ -37,11 +37,11 @@ def steps_of(*episodes):
     )
 
 
-def test_the_40_steps_before_a_crash_do_not_count_and_those_before_the_cap_do():
+def test_the_40_steps_before_a_crash_do_not_count_and_those_before_the_limit_do():
     crash = episode((10, OUTSIDE, 100.0), (39, INSIDE, 60.0), (1, INSIDE, 30.0), seed=0)
-    capped = episode((10, OUTSIDE, 100.0), (40, INSIDE, 60.0), seed=1)
+    truncated = episode((10, OUTSIDE, 100.0), (40, INSIDE, 60.0), seed=1)
     short = episode((39, OUTSIDE, 60.0), (1, OUTSIDE, 29.0), seed=2)
-    steps = steps_of(crash, capped, short)
+    steps = steps_of(crash, truncated, short)
     assert BEFORE_CRASH == 40
     assert steps.groupby("seed")["late"].sum().tolist() == [40, 0, 40]
     found = early(steps).loc["sampled"].dropna()
@@ -62,7 +62,7 @@ def test_on_a_layout_each_seed_weighs_the_same_however_long_it_flew():
     assert found["clearance_by_layout"].tolist() == [80.0, 55.0]
 
 
-def test_episodes_on_test_sets_agree_with_a_slow_loop():
+def test_episodes_on_test_layouts_agree_with_a_slow_loop():
     n, all_layouts = 6, layouts.load("test")
     flown = fly({3: BASELINES["random"], 4: BASELINES["straight"]}, on(make_task(), "test", n, 150))
     table = retrace(flown.behaviour.assign(mode="sampled"), all_layouts[:n], torch.full((n,), 90), WORLD)

@@ -342,7 +342,7 @@ def test_outputs_are_read_as_one_number_an_action_as_in_python(head, chrome, ope
     assert (mine - values_of(head, outputs)).abs().max() <= 2e-5
 
 
-def test_sets_of_obstacles_leave_the_start_free_and_are_spread_as_pythons(chrome, opened):
+def test_layouts_of_obstacles_leave_the_start_free_and_are_spread_as_pythons(chrome, opened):
     made = "Array.from({ length: 500 }, (_, seed) => generate(playground.world, 8, seed))"
     all_layouts = torch.tensor(ask(chrome, made))
     layouts.validate(all_layouts)  # radii, window, safe zone
@@ -388,7 +388,7 @@ def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, o
         *itertools.product(["drone", "moving", "goal"], ["apf", "vfh"]),
     ],
 )
-def test_scripts_in_all_worlds_choose_as_in_python_in_999_of_1000_poses(chrome, opened, name, script):
+def test_scripted_policies_choose_as_in_python_in_999_of_1000_poses(chrome, opened, name, script):
     task, random = make_task("test", task=name), torch.Generator().manual_seed(2)
     x, y = (torch.rand(2000, generator=random) * (side - 100) + 50 for side in (800, 600))
     heading, steps = (torch.randint(n, (2000,), generator=random) for n in (360, 1000))

@@ -190,7 +190,7 @@ def same_episode(a, b):
     return all(torch.equal(a[key], b[key]) for key in keys)
 
 
-def test_the_run_flew_in_the_world_that_its_4_settings_and_its_cap_describe(watched):
+def test_the_run_flew_in_the_world_that_its_4_settings_and_its_limit_describe(watched):
     batch = torch.cat(watched.rollouts, 2)
     how = {"world": World(**SWITCHES), "reward": "initial", "max_steps": 20}
     assert same_episode(batch, flown(batch["action"], **how))

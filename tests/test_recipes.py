@@ -148,7 +148,7 @@ def test_what_the_scripted_policy_earns_is_the_mean_of_its_committed_rows():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["moving", "space", "space-moving"])
-def test_in_other_tasks_it_is_that_of_rows_of_2000_steps_and_of_whoever_is_still_up_flown_on(task):
+def test_in_other_tasks_it_is_that_of_rows_of_2000_steps_and_of_whoever_is_still_open_after_them(task):
     rows = pd.read_parquet(RESULTS / f"worlds/baselines/reactive-{task}-test-200-2000.parquet")
     up = rows.loc[rows["truncated"], "layout"].tolist()
     whole = evaluate_policy(

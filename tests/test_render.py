@@ -204,7 +204,7 @@ def run(trained):
     return trained("ppo")
 
 
-def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third_step(run, tmp_path, capsys):
+def test_the_command_flies_a_run_beside_a_scripted_policy_and_draws_every_third_step(run, tmp_path, capsys):
     path = tmp_path / "episode.gif"
     words = [str(run.path), "reactive", "--steps", "30", "--every", "3", "--out", str(path)]
     assert render_command(words) == 0
@@ -218,7 +218,7 @@ def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third
         assert image.info["duration"] == 100  # three steps at 30 a second
 
 
-def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(
+def test_with_faults_reactive_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(
     tmp_path, capsys
 ):
     words = ["reactive", "--layout", "3", "--steps", "60", "--faults", "noise=20,sticky=0.5"]

@@ -104,7 +104,7 @@ def test_who_goes_round_for_a_million_steps_is_counted_in_the_time_of_a_thousand
 
 
 @pytest.mark.parametrize("limit", [499, 500, 501, 871, 872, 873, 1_231])
-def test_any_cap_gives_the_rows_of_flying_it_all(limit, monkeypatch):
+def test_any_limit_gives_the_rows_of_flying_it_all(limit, monkeypatch):
     population = {0: always(11), 1: always(50)}
     assert_same(*both(population, on(make_task(EMPTY), OPEN, 2, limit), monkeypatch))
 
@@ -133,7 +133,7 @@ def test_trained_policies_that_circle_have_the_rows_of_flying_it_all(monkeypatch
     assert_same(one, other)
 
 
-def test_all_500_watched_steps_of_ten_sets_are_there():
+def test_all_500_watched_steps_of_ten_layouts_are_there():
     left = evaluation.fly({0: always(50), 1: always(0)}, on(make_task(EMPTY), "test", 12, 10_000))
     assert left.behaviour.groupby(["seed", "layout"]).size().tolist() == [WATCHED_STEPS] * 20
     assert WATCHED_STEPS == 500
@@ -150,7 +150,7 @@ def test_a_sampled_policy_is_flown(flown):
     assert (rows.steps == 1_500).all()
 
 
-def test_who_goes_round_leaves_the_episode_of_those_that_never_do_and_a_script_is_flown(monkeypatch):
+def test_who_goes_round_leaves_the_episode_of_those_that_never_do_and_a_scripted_policy_is_flown(monkeypatch):
     up, task = [], on(make_task(EMPTY), OPEN, 3, 1_300)
 
     def stands(observation, generator):

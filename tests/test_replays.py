@@ -5,7 +5,7 @@ gives.
 import numpy as np
 import pytest
 import torch
-from replaying import MAX_STEPS, STAY, STRAIGHT, as_flown, few_sets, flown, of_folder, recorded, unpack
+from replaying import MAX_STEPS, STAY, STRAIGHT, as_stepped, few_layouts, of_folder, recorded, stepped, unpack
 from runs_by_hand import write_policies
 
 from uavnav.report import studies
@@ -21,8 +21,8 @@ from uavnav.views.replays import paths, record, together
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _few_sets():
-    with few_sets():
+def _few_layouts():
+    with few_layouts():
         yield
 
 
@@ -47,10 +47,10 @@ def test_poses_are_within_half_tenth_of_pixel_of_slow_episode_and_values_within_
     ]
     reasons, chosen = set(), set()
     for seed in (4, 5, 6):
-        expected = flown(run, seed, 3)
+        expected = stepped(run, seed, 3)
         for episode in (one for one in configuration["episodes"] if one["seed"] == seed):
             poses, choices, ended = expected[episode["layout"]]
-            as_flown(episode, data["fields"], poses, choices, ended)
+            as_stepped(episode, data["fields"], poses, choices, ended)
             reasons.add(ended)
             chosen |= {*choices[:, 0]}
     assert reasons == {"collision", "truncated"}
@@ -297,7 +297,7 @@ def test_a_report_records_configurations_of_other_worlds_beside_the_papers(tmp_p
     assert found == {"moving", "noise"}
 
 
-def test_episodes_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_same_obstacles(run, data):
+def test_episodes_side_by_side_are_the_first_seeds_and_the_scripted_poses_on_the_same_obstacles(run, data):
     (configuration,) = data["configurations"]
     label = f"{configuration['algorithm'].upper()} {configuration['label']}"
     shown = together(data, {label: "mine", "PPO nobody": "nobody"}, "reactive")
@@ -324,7 +324,7 @@ def test_episodes_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_sa
         assert path == pytest.approx(np.hstack([first["x"], first["y"]])[:6])
 
 
-def test_the_rule_flies_as_baselines_say_it_does(data):
+def test_reactive_flies_as_baselines_say_it_does(data):
     for episode in data["scripted"]:
         found = unpack(episode, data["fields"])
         assert set(found["action"][:, 0]) <= {STRAIGHT, 50}

@@ -104,7 +104,7 @@ def test_the_papers_8_rows_stand_beside_ours_as_printed(text):
     ]
 
 
-def test_evaluation_is_two_readings_with_half_of_the_episodes_cut_off_at_40_steps(text):
+def test_evaluation_is_two_definitions_with_half_of_the_episodes_truncated_at_40_steps(text):
     assert found(text, "tanh", "greedy evaluation")[0] == [
         *("1", "2", "50.0% at 40 steps", "25.0", "10.00", "5.00", "37.50", "75.0", "3.75", "−3.00")
     ]
@@ -319,7 +319,7 @@ def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(resu
 
 
 @pytest.mark.usefixtures("warm")
-def test_a_run_without_a_finished_episode_is_missing_in_every_reading_but_per_frame(tmp_path):
+def test_a_run_without_a_finished_episode_is_missing_in_every_definition_but_per_frame(tmp_path):
     write_run(tmp_path / "run", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
     text = report([tmp_path]).path.with_suffix(".md").read_text()
     assert [len(found(text, "tanh", f"{definition}: missing")) for definition in DEFINITIONS] == [

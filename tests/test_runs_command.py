@@ -100,7 +100,7 @@ def test_rewards_are_means_over_the_test_episodes_in_each_mode(results):
         )
 
 
-def test_the_reward_of_a_run_with_a_goal_is_that_of_its_own_cap_and_no_other_protocol_is_shown(tmp_path):
+def test_the_reward_of_a_run_with_a_goal_is_that_of_its_own_limit_and_no_other_protocol_is_shown(tmp_path):
     run = write(tmp_path / "run", "finished", task="goal")
     rows = pd.DataFrame({"mode": ["greedy", "sampled"], "reward": [1.0, 2.0]})
     rows.to_parquet(run / "evaluation-test-200-500.parquet")

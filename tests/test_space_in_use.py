@@ -1,4 +1,4 @@
-"""The worlds in 3D, in use: what learns in them, scripted rules and pictures."""
+"""The worlds in 3D, in use: what learns in them, scripted policies and pictures."""
 
 import functools
 
@@ -38,7 +38,7 @@ def test_a_pose_that_comes_again_has_the_same_place_yaw_and_pitch():
     assert probes.poses(task).shape == (512, 40)
 
 
-def test_an_episode_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown():
+def test_an_episode_that_goes_round_in_pitch_too_is_counted_to_its_limit_as_if_it_were_flown():
     greedy = untrained(task=make_task(task="space"), sizes=(40, 8, 100))
     task = evaluation.on(greedy.task, "test", 10, 2000)
     assert evaluation._repeatable(greedy, task)
@@ -77,10 +77,10 @@ def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():
     assert (SpaceMovingWorld().n_actions, SpaceMovingWorld(**SENSED).observation_size) == (100, 70)
 
 
-# -- scripted rules ------------------------------------------------------------------------------------------
+# -- scripted policies ---------------------------------------------------------------------------------------
 
 
-def test_names_of_scripted_policies_stand_for_rules_of_the_box():
+def test_names_of_scripted_policies_stand_for_those_of_the_box():
     still, moving_, paper = (
         make_task("test", task="space"),
         make_task("test", SENSED, task="space-moving"),
@@ -94,7 +94,7 @@ def test_names_of_scripted_policies_stand_for_rules_of_the_box():
     assert (rule.func, rule.keywords) == (baselines.dodge_in_the_box, {"world": moving_.world})
 
 
-def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_flies_on():
+def test_among_spheres_that_stand_still_reactive_never_collides_and_flies_on():
     task = evaluation.on(make_task("test", task="space"), "test", 30, 400)
     rows = evaluation.fly({0: suited(BASELINES["reactive"], task)}, task).episodes
     assert rows["truncated"].all()
@@ -103,7 +103,7 @@ def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_fli
 
 
 @pytest.mark.parametrize("fields", [{}, SENSED])
-def test_among_moving_spheres_the_rule_that_dodges_lasts_twice_as_long_as_the_one_for_a_still_box(fields):
+def test_among_moving_spheres_the_policy_that_dodges_lasts_twice_as_long_as_the_one_for_a_still_box(fields):
     task = evaluation.on(make_task("test", fields, task="space-moving"), "test", 30, 300)
     still = functools.partial(BASELINES["reactive"], world=task.world)
     rules = suited(BASELINES["reactive"], task), still, BASELINES["random"]
@@ -114,7 +114,7 @@ def test_among_moving_spheres_the_rule_that_dodges_lasts_twice_as_long_as_the_on
 @pytest.mark.parametrize(
     ("slot", "turns"), [((0, 0, 1, 0.3), True), ((0, 0.8, 0.6, 0.06), True), ((0, 0, 1, 0.9), False)]
 )
-def test_both_rules_turn_from_what_is_close_ahead_and_fly_on_where_it_is_far(slot, turns):
+def test_both_turn_from_what_is_close_ahead_and_fly_on_where_it_is_far(slot, turns):
     seen = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(10)
     seen[:4] = torch.tensor(slot)
     yaw, pitch, _ = space.decode(baselines.dodge_in_the_box(seen), SpaceWorld())

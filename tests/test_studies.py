@@ -199,19 +199,19 @@ def rows_of(one, definition=PRIMARY, episodes=None):
     return evidence_of(sort([one]), definition, episodes or {})
 
 
-def test_each_reading_gives_one_number_a_seed():
+def test_each_definition_gives_one_number_a_seed():
     """Seed 0 flies at 4 and 8 px a step, in 100 and 300 steps; seed 1 once at 2, and once more without an
     end.
     """
     first = [(0, 100, 100, 10, 90, 400, -6.0), (0, 400, 300, 0, 150, 2400, -2.0)]
     second = [(1, 50, 50, 5, 5, 100, 3.0), (1, 99, 49, 0, 0, 0, 1e6, False, False)]
-    flown = pd.concat(
+    tested = pd.concat(
         [
             own_episodes((0, 9, 9, 0, 9, 81, 7.0)).assign(mode="greedy"),
             own_episodes((1, 9, 10, 0, 0, 80, 5.0, False, True)).assign(mode="sampled"),
         ]
     )
-    one = configuration(*KEY, rows=first + second, flown=flown)
+    one = configuration(*KEY, rows=first + second, tested=tested)
     evidence = rows_of(one, ALL)
     assert evidence(*KEY, "reward").tolist() == [-4, 3]
     assert evidence(*KEY, "speed").tolist() == [6, 2]
@@ -284,13 +284,13 @@ def test_a_run_that_ends_before_700000_frames_has_no_time_after_a_surge():
 @pytest.mark.parametrize(
     "definition", [f"last {LAST} training episodes", "greedy evaluation", "sampled evaluation"]
 )
-def test_no_other_reading_has_a_time_before_and_after(definition):
+def test_no_other_definition_has_a_time_before_and_after(definition):
     assert rows_of(configuration(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), definition)(
         *KEY, "reward_before"
     ).shape == (0,)
 
 
-def test_episodes_are_those_of_the_readings_mode_and_study():
+def test_episodes_are_those_of_the_definitions_mode_and_study():
     table = pd.DataFrame(
         {
             "mode": ["greedy", "sampled", "sampled"],

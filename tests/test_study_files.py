@@ -21,7 +21,7 @@ from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol
 from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import draws, search
-from uavnav.studies.run import evaluated, unflown
+from uavnav.studies.run import evaluated, unevaluated
 from uavnav.tasks import ladders
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
@@ -68,7 +68,7 @@ def test_seeds_and_frames_of_the_command_line_hold_for_every_configuration(tmp_p
     }
 
 
-def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it_is_trained(
+def test_a_configuration_is_evaluated_on_the_test_layouts_of_its_rung_and_across_ladders_once_it_is_trained(
     tmp_path,
 ):
     mine = MINE.replace(
@@ -80,13 +80,13 @@ def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladder
     assert configuration.config.faults.noise == 5
     bounds = ["--episodes", "5", "--max-steps", "9"]
     own = ["--layouts", "density-4/test", *bounds]
-    assert unflown(configuration) == [own, [*bounds, "--alone", "--across", "density", "arc"]]
+    assert unevaluated(configuration) == [own, [*bounds, "--alone", "--across", "density", "arc"]]
     put(configuration.out / "evaluation-density-4-test-5-9.parquet", "")
     put(configuration.out / "across-density-5-9.parquet", "")
-    assert unflown(configuration) == [[*bounds, "--alone", "--across", "arc"]]
+    assert unevaluated(configuration) == [[*bounds, "--alone", "--across", "arc"]]
     put(configuration.out / "across-arc-5-9.parquet", "")
     assert evaluated(configuration)
-    assert unflown(configuration._replace(evaluations=())) == []
+    assert unevaluated(configuration._replace(evaluations=())) == []
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladder
         ("{max_steps: 3000}", Protocol(episodes=200, max_steps=3000)),
     ],
 )
-def test_a_configuration_with_a_goal_is_flown_for_1000_steps_unless_its_study_says_another_cap(
+def test_a_configuration_with_a_goal_is_evaluated_for_1000_steps_unless_its_study_says_another_limit(
     said, flown, tmp_path
 ):
     text = f"configurations: [{{algorithm: ppo, task: goal, evaluate: {said}}}]"
@@ -121,7 +121,7 @@ def test_a_study_may_fly_under_the_shield_count_more_measures_and_name_its_scrip
     found = studies.configurations(study, tmp_path)
     bounds = ["--episodes", "5", "--max-steps", "9"]
     flown = ["--layouts", "test", *bounds]
-    assert unflown(found[0]) == [[*flown, "--measures"], [*flown, "--shield", "--measures"]]
+    assert unevaluated(found[0]) == [[*flown, "--measures"], [*flown, "--shield", "--measures"]]
     put(found[0].out / "evaluation-test-5-9.parquet", "")
     put(found[0].out / "evaluation-test-5-9-shielded.parquet", "")
     assert evaluated(found[0])
@@ -158,7 +158,7 @@ def test_scripted_policies_that_cannot_fly_a_task_are_skipped_in_a_study(tmp_pat
     assert flown == [["vfh", "dwa"], ["dwa"], ["dwa", "orca"]]
 
 
-def test_classics_fly_where_a_configuration_was_trained_and_only_the_usual_scripts_climb_its_ladder(tmp_path):
+def test_classics_fly_where_a_configuration_was_trained_and_only_the_usual_ones_climb_its_ladder(tmp_path):
     text = """
         settings: {evaluate: {episodes: 5, max_steps: 9, across: [density]}}
         configurations: [{algorithm: ppo, layouts: density-4/train}]
@@ -174,7 +174,7 @@ def test_classics_fly_where_a_configuration_was_trained_and_only_the_usual_scrip
     ("layouts", "test"),
     [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/layouts/4/train.safetensors", "test")],
 )
-def test_the_test_sets_of_a_layout_file_are_those_of_its_rung(layouts, test):
+def test_the_test_layouts_of_a_layout_file_are_those_of_its_rung(layouts, test):
     assert judged_on(layouts) == test
 
 
@@ -205,7 +205,7 @@ def test_scripted_policies_count_more_measures_if_any_of_the_configurations_with
     assert words[-1] == "--measures"
 
 
-def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configurations_do_unless_rows_are_there(
+def test_scripted_policies_fly_task_and_rung_of_a_study_once_as_its_configurations_unless_rows_are_there(
     tmp_path,
 ):
     configurations = studies.configurations(studies.read("worlds"), tmp_path)

@@ -63,7 +63,7 @@ def batch(task, n, steps, seed=0):
 # -- as one --------------------------------------------------------------------------------------------------
 
 
-def test_a_header_holds_every_field_of_the_world_the_reward_the_cap_and_the_layout_files_hash():
+def test_a_header_holds_every_field_of_the_world_the_reward_the_limit_and_the_layout_files_hash():
     header = header_of(make_task("test", OTHER, "additive", 50))
     assert set(header) == {"task", "world", "reward", "max_steps", "stack", "faults", "layouts"}
     assert list(header["world"]) == FIELDS
@@ -97,7 +97,7 @@ def test_a_layout_file_that_was_made_for_a_wider_window_flies_in_it_alone():
         make_task("test", wider)
 
 
-def test_on_another_split_and_cap_a_task_keeps_its_world_its_reward_and_its_class(narrow):
+def test_on_another_split_and_limit_a_task_keeps_its_world_its_reward_and_its_class(narrow):
     for task in (make_task("test", OTHER, "additive", 50), narrow.replace(reward="initial")):
         moved = task.on("validation", 9)
         assert torch.equal(moved.layouts, layouts.load("validation"))

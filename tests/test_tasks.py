@@ -295,7 +295,7 @@ def test_where_drone_and_obstacles_are_is_what_a_slow_loop_says(name, fields):
 
 @of_every_task
 @pytest.mark.parametrize("script", BASELINES)
-def test_every_script_flies_whatever_is_sensed(name, fields, script):
+def test_every_scripted_policy_flies_whatever_is_sensed(name, fields, script):
     rows = evaluation.fly(
         {0: BASELINES[script]}, evaluation.on(made(name, fields, "stack"), "test", 3, 5)
     ).episodes

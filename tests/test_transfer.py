@@ -103,7 +103,7 @@ def test_in_its_own_world_a_policy_flies_as_an_evaluation_of_its_run(runs, capsy
 
 
 @pytest.mark.parametrize(("given", "limits"), [(None, (2000, 1000)), (1500, (1500, 1500)), (30, (30, 30))])
-def test_a_cap_that_is_given_holds_in_every_world_and_else_that_of_each_task(given, limits, runs):
+def test_a_limit_that_is_given_holds_in_every_world_and_else_that_of_each_task(given, limits, runs):
     assert tuple(transfer.place(runs[name], 1, given).task.max_steps for name in ("paper", "goal")) == limits
 
 
@@ -140,7 +140,7 @@ def test_sensed_velocities_stay_shares_of_the_greatest_speed_in_training(monkeyp
         assert speeds[speeds > 0].median() == pytest.approx(share, abs=1e-4)
 
 
-def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_script_in_any():
+def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_scripted_policy_in_any():
     policy = uavnav.load_policy(
         Path(uavnav.__file__).parents[1] / "results" / "vectorised" / "ppo" / "tanh", seed=3
     )

@@ -36,7 +36,7 @@ def episodes(*of_seeds, mode="sampled"):
 
 
 def configurations(**of_seeds):
-    return {(name, "tanh"): configuration(name, flown=episodes(*means)) for name, means in of_seeds.items()}
+    return {(name, "tanh"): configuration(name, tested=episodes(*means)) for name, means in of_seeds.items()}
 
 
 def compared(rule=20.0):

@@ -134,7 +134,7 @@ def made_up():
     return Worlds(learned, scripted, *NOTHING[1:])
 
 
-def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_random_flight():
+def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_random():
     found = leaders(summary(made_up()))
     assert found[["task", "best", "best_scripted", "ahead", "chance"]].to_numpy().tolist() == [
         ["drone", "PPO tanh", "reactive", "a configuration", "DQN tanh"],
@@ -167,7 +167,7 @@ def test_a_worlds_table_has_configurations_and_scripted_policies():
 GOAL = Protocol(max_steps=1000, task="goal")
 
 
-def test_a_ladder_is_drawn_for_configurations_of_the_papers_world_and_for_scripts_rung_by_rung():
+def test_a_ladder_is_drawn_for_configurations_of_the_papers_world_and_for_scripted_policies_rung_by_rung():
     rungs = LADDERS["density"].rungs
     flown = {at("reward", "density", rung): 100.0 - rung for rung in rungs}
     learned = {
@@ -202,7 +202,7 @@ def keep(folder, who, protocol=GOAL, reward=3.0, **header):
     return flown
 
 
-def test_rows_of_another_cap_or_task_are_refused_in_one_line_and_the_others_are_read(tmp_path, monkeypatch):
+def test_rows_of_another_limit_or_task_are_refused_in_one_line_and_the_others_are_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # a line shortens long paths
     folder = Path("mine")
     flown = keep(folder, "straight")
@@ -218,7 +218,7 @@ def test_rows_of_another_cap_or_task_are_refused_in_one_line_and_the_others_are_
     assert len(left_out) == 2
 
 
-def test_rows_of_scripts_are_taken_from_the_first_folder_that_has_them_and_a_damaged_file_is_named(tmp_path):
+def test_rows_of_scripted_policies_are_of_the_first_folder_with_them_and_a_damaged_file_is_named(tmp_path):
     mine, theirs = tmp_path / "mine", tmp_path / "theirs"
     keep(theirs, "straight", reward=1.0)
     keep(mine, "straight", reward=2.0)
@@ -247,7 +247,7 @@ def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
     assert found["random"].groupby("seed")["reward"].sum().nunique() > 1
 
 
-def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies(tmp_path, monkeypatch):
+def test_a_task_lacks_scripted_policies_whose_rows_are_missing_and_nobody_flies(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation, "fly_modes", None)
     episodes = [rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed), (9, 9, 1, 1, 5, 50, 3.0)) for seed in (0, 1)]
     flown = pd.concat(episodes, ignore_index=True)
@@ -281,7 +281,7 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
     assert ahead.loc["goal"].tolist()[2:] == ["straight", 4.0]
 
 
-def test_scripts_of_a_rung_are_read_from_its_own_rows_and_a_run_tells_how_it_was_made(tmp_path):
+def test_scripted_policies_of_a_rung_are_read_from_its_own_rows_and_a_run_tells_how_it_was_made(tmp_path):
     path, home = tmp_path / "worlds" / "paper" / "drone", tmp_path / "worlds" / "baselines"
     write_run(path, two(0, -6.0), two(1, -8.0))
     flown = pd.concat([rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed)) for seed in (0, 1)], ignore_index=True)

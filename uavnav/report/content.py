@@ -209,15 +209,15 @@ def gather(
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
         tell("flying episodes for the replays")
-        shown = replayed()
+        recorded = replayed()
     return Content(
         configurations,
         dealt,
         numbers,
         drawn,
-        shown if shown["configurations"] else None,
+        recorded if recorded["configurations"] else None,
         baselines,
-        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *shown["left_out"]])),
+        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *recorded["left_out"]])),
     )
 
 

@@ -90,6 +90,13 @@ class Started:
                 return True
         return False
 
+    def paused(self, n):
+        """Stop its workers, if so many work and none has ended, which none then can; whether that is so."""
+        signal_all(signal.SIGSTOP, jobs := self.jobs())
+        held = len(jobs) == n and not any(self.out.glob("*/*/workers/*.ended"))
+        signal_all(signal.SIGCONT, [] if held else jobs)
+        return held
+
     def snapshots(self):
         """Workers that have one."""
         return {path.parent.parent for path in self.out.glob("*/*/workers/*/checkpoint/state-*")}
@@ -203,8 +210,9 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path,
     try:
         second = cluster.add_node(num_cpus=1)
         process = study("engine=ray", f"address={cluster.address}")
-        study.until(lambda: study.snapshots() and len(study.jobs()) == 2)  # one on each machine
+        study.until(lambda: study.snapshots() and study.paused(2))  # one on each machine
         cluster.remove_node(second, allow_graceful=False)
+        signal_all(signal.SIGCONT, study.jobs())
         assert "its job is gone; given again" in study.finished(process)
     finally:
         cluster.shutdown()

@@ -44,11 +44,11 @@ function droneAt(world, episode, read, step, trail = Infinity) {
   const names = ["right", "up", "forward", "proximity"].filter(has);
   const slots = Array.from({ length: world.n_slots }, (_, slot) => names.map((name) => read[name](step, slot)));
   const first = Math.max(0, step - trail);
-  const trail = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
+  const places = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
   const axes = has("pitch") ? bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) }) : planeAxes(angle);
   const pose = { x: here[0], y: here[1], angle };
   const crashed = step === episode.steps && episode.ended === "collision";
-  return { pose, place: here, axes, trail, sensed: sensedPoints(world, here, axes, slots), crashed };
+  return { pose, place: here, axes, trail: places, sensed: sensedPoints(world, here, axes, slots), crashed };
 }
 
 /** Give a select its choices [value, text], and keep what was chosen if it is still there. */

@@ -69,7 +69,7 @@ def line(frames: int, total: int, rate: float | None, lately: Lately) -> str:
     done = f"{sparkline(lately.curve)} {min(frames / total, 1):.0%}{pace}"
     if not lately.rewards:
         return done
-    opened = f"{np.mean(lately.flying):.0%} open, {np.mean(lately.lengths):,.0f} steps"
+    opened = f"{np.mean(lately.flying):.0%} open, {np.mean(lately.lengths):.0f} steps"
     return f"{done}; reward/1k {with_spread(lately.rewards, int(len(lately.rewards) == 1))}, {opened}"
 
 

@@ -316,7 +316,7 @@ def test_runs_of_the_study_become_means_over_seeds_of_training_final_policies_an
     )
     assert {*tables["activations"]["configuration"]} == {"PPO crelu, LayerNorm"}
     drawn = activations.figure(tables["activations"])
-    assert "PPO with LayerNorm, crelu 11.0" in drawn.alt
+    assert "PPO with LayerNorm, CReLU 11.0" in drawn.alt
 
 
 # -- horizon and learned -------------------------------------------------------------------------------------

@@ -160,6 +160,19 @@ def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
     assert {name: getattr(config, name) for name in theirs} == theirs
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])
+def test_stable_baselines3_in_16_environments_updates_after_as_many_frames_as_ours(algorithm):
+    vector = pytest.importorskip("stable_baselines3.common.vec_env")
+    config = training.settings(algorithm, "paper", n_envs=16)
+    env = vector.DummyVecEnv([lambda: environments.make_env("numpy")] * 16)
+    model = training.make_model(training.SB3, config, env)
+    if algorithm == "dqn":
+        frames, updates = 16 * model.train_freq.frequency, model.gradient_steps
+        assert (frames, updates) == (16, 4) == (config.frames_per_iteration, config.updates_per_step)
+    else:
+        assert 16 * model.n_steps == config.frames_per_iteration
+
+
 @pytest.mark.slow
 def test_stable_baselines3_is_watched_in_a_process_of_its_own(tmp_path):
     pytest.importorskip("stable_baselines3")

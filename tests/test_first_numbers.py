@@ -163,7 +163,7 @@ def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_
 
 
 def test_one_run_a_configuration_would_name_tanh_and_give_the_papers_order_so_often(per_frame, logged):
-    line = lines("- In training, PPO's sigmoid")
+    line = lines("- Per training frame, PPO's sigmoid")
     samples = per_frame["ppo", "sigmoid"], per_frame["ppo", "tanh"]
     assert max(FOUR, key=lambda one: per_frame["ppo", one].mean()) == "sigmoid"
     lead = samples[0].mean() - samples[1].mean()

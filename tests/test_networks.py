@@ -165,6 +165,12 @@ def test_the_networks_of_the_study_have_nearly_the_same_number_of_parameters():
     assert counts == dict.fromkeys(("relu", "leaky_relu", "tanh", "sigmoid", "silu"), 12_644)
 
 
+@pytest.mark.parametrize("mode", [torch.inference_mode, torch.no_grad])
+def test_networks_are_made_where_no_gradient_is_wanted_too(mode):
+    with mode():
+        assert mlp([30, 8, 100], "rational", generators(0), "default")[-1].weight.shape == (1, 8, 100)
+
+
 class Flat(Layer):
     def forward(self, x):
         return x.flatten()

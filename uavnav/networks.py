@@ -177,11 +177,11 @@ class Activation(nn.Module):
         entry: Any = ACTIVATIONS[name]
         generators = [torch.Generator()] if generators is None else generators
         try:
-            if isinstance(entry, type):
-                self.layer = layer = entry(units, generators)
-                self.parallel = layer.parallel
-            given = torch.zeros(len(generators), 1, self.parallel * units, requires_grad=True)
-            with torch.enable_grad():
+            with torch.inference_mode(False), torch.enable_grad():  # wherever a policy is loaded
+                if isinstance(entry, type):
+                    self.layer = layer = entry(units, generators)
+                    self.parallel = layer.parallel
+                given = torch.zeros(len(generators), 1, self.parallel * units, requires_grad=True)
                 found = self(given)
             if not isinstance(found, Tensor):
                 raise TypeError(f"it gave a {type(found).__name__}")

@@ -90,7 +90,7 @@ WIDTH, NARROW = 8.0, 5.0
 _NAMES = re.compile(rf"(?<![\w/-])({'|'.join(colours.NAMES)})(?![\w/-])")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Drawn:
     """A figure and one sentence with its main numbers."""
 
@@ -98,7 +98,7 @@ class Drawn:
     alt: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "alt", spelled(self.alt))
+        self.alt = spelled(self.alt)
 
     @functools.cached_property
     def svg(self) -> bytes:

@@ -497,7 +497,7 @@ VERIFY = Usage(
     ],
 )
 BENCH = Usage(
-    "Measure the environment, training and its peers on this machine, in about an hour.",
+    "Measure the environment, training and its peers on this machine, in more than an hour.",
     "bench --quick",
     [
         _flag("--quick", "a first impression, in 3 to 5 minutes"),

@@ -117,9 +117,14 @@ def cited(frame: pd.DataFrame, table: str, column: str) -> Rows:
     head, *rows = listed(frame, table)
     place = head.index(column)
     for line, row in zip(frame.index, rows, strict=True):
-        shown, *interval = row[place].partition(" [")
-        row[place] = linked(shown, table, line) + "".join(interval)
+        row[place] = _to_row(row[place], table, line)
     return [head, *rows]
+
+
+def _to_row(number: str, table: str, line: Any) -> str:
+    """A number, perhaps with its interval, whose first part leads to a row of a table."""
+    shown, *interval = number.partition(" [")
+    return linked(shown, table, line) + "".join(interval)
 
 
 def _across(
@@ -507,17 +512,16 @@ def rewards(numbers: Mapping[str, pd.DataFrame]) -> Rows:
         of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
         own = flown[flown["who"] == name(algorithm, activation)]
         printed = number(paper.printed(algorithm, activation, "reward"), 1)
-        ours = _cited(of, MEAN, 1, "metrics"), _cited(own, REWARD, 0, "gaps")
+        ours = _one(of, MEAN, 1, "metrics"), _one(own, REWARD, 0, "gaps")
         rows.append([f"{algorithm.upper()} {NAMES[activation]}", printed, *ours])
-    earned = _cited(flown[flown["who"] == REACTIVE], REWARD, 0, "gaps")
+    earned = _one(flown[flown["who"] == REACTIVE], REWARD, 0, "gaps")
     return [*rows, ["scripted policy", NOTHING, NOTHING, earned]]
 
 
-def _cited(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str) -> str:
+def _one(rows: pd.DataFrame, columns: Sequence[str], digits: int, table: str) -> str:
     """The number of a table's one row with its interval, and a link to it; a dash where there is none."""
     for place, one in zip(rows.index, rows.to_dict("records"), strict=True):
-        shown, *interval = _interval(one, columns, digits).partition(" [")
-        return linked(shown, table, place) + "".join(interval)
+        return _to_row(_interval(one, columns, digits), table, place)
     return NOTHING
 
 
@@ -536,11 +540,11 @@ def reward(numbers: Mapping[str, pd.DataFrame], algorithm: str, which: str) -> s
     """Of an algorithm's test episodes with some settings; by default those of tanh, if it was not tuned."""
     tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
     if len(tuned):
-        return _cited(tuned[tuned["settings"] == which], VALUE, 1, "tuning")
+        return _one(tuned[tuned["settings"] == which], VALUE, 1, "tuning")
     if which != DEFAULT or "further" not in numbers:
         return NOTHING
     sampled = numbers["further"].query("mode == 'sampled'")
-    return _cited(sampled[sampled["who"] == name(algorithm, "tanh")], REWARD, 1, "further")
+    return _one(sampled[sampled["who"] == name(algorithm, "tanh")], REWARD, 1, "further")
 
 
 def tried(table: pd.DataFrame) -> Rows:

@@ -185,8 +185,8 @@ def report(run: Run) -> None:
         print(
             f"{sparkline(lately.curve)} in the last tenth, open episodes too: reward per 1,000 frames"
             f" {with_spread(lately.rewards, 1)}{first};\n"
-            f"  {statistics.mean(lately.flying):.0%} of environments without a terminated episode;"
-            f" open ones are {statistics.mean(lately.lengths):,.0f} steps long"
+            f"  no episode was terminated in {statistics.mean(lately.flying):.0%} of environments;"
+            f" open ones are {statistics.mean(lately.lengths):,.0f} steps long so far"
         )
     print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
 

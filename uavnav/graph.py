@@ -220,7 +220,8 @@ class Loop(Graph):
             if len(rates) == 1:  # a loop would carry the state through copies
                 _, total, *after = body(index, total, *state, rates, *others)
             else:
-                _, total, *after = while_loop_op(unfinished, body, (index, total, *state), (rates, *others))  # type: ignore[arg-type]
+                given: Any = (index, total, *state), (rates, *others)
+                _, total, *after = while_loop_op(unfinished, body, *given)
             return total / len(rates), *after
 
         return updates

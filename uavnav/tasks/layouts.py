@@ -235,7 +235,8 @@ def _drawn(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
 
 def _rung(layouts: str, world: World) -> tuple[str, int]:
     """The split and the difficulty that a rung's name says, such as `density-12/test`."""
-    ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
+    parts = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL)
+    ladder, rung, split = parts.groups()  # type: ignore[union-attr]
     if len(rung) > len(str(MOST_WHOLE)):  # whatever it says is too much
         raise LayoutError(f"layouts={told(layouts)}: no such layout file; give fewer digits")
     if split not in SPLITS or not rung.isdecimal():

@@ -183,7 +183,8 @@ class Space(Task):
     def start(self, layout: Tensor, heading: Tensor) -> State:
         """The state at the beginning of an episode: at the centre of the box, level."""
         z = torch.full_like(layout, self.world.start[2], dtype=torch.float32)
-        return self.STATE(*super().start(layout, heading), z, torch.zeros_like(layout))  # type: ignore[call-arg]
+        level = torch.zeros_like(layout)
+        return self.STATE(*super().start(layout, heading), z, level)  # type: ignore[call-arg]
 
     def info(self, state: State) -> dict[str, Tensor]:
         """As of the paper's task, and z, yaw and pitch."""

@@ -159,12 +159,14 @@ class WrappedTask:
         """
         self._check_draws(draws)
         if draws is not None and self.faults.sticky:
-            action = self.faults.executed(action, state.executed, state.steps, draws)  # type: ignore[attr-defined]
+            last = state.executed  # type: ignore[attr-defined]
+            action = self.faults.executed(action, last, state.steps, draws)
         moved, angle, distance = self.task.move(state, action)
         found, clearance = self.task.sense(moved)
         observation = self._encode(moved, found, draws)
         if self.remembers:
-            seen = torch.cat([observation[..., None, :], state.seen[..., :-1, :]], -2)  # type: ignore[attr-defined]
+            older = state.seen[..., :-1, :]  # type: ignore[attr-defined]
+            seen = torch.cat([observation[..., None, :], older], -2)
             moved = moved._replace(seen=seen, executed=action)  # type: ignore[call-arg]
             observation = self.recall(moved)
         step = Step(state, moved, action, angle, distance, clearance, observation, self.world)

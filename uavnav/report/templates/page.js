@@ -11,5 +11,6 @@ function unfold() {
 }
 
 addEventListener("hashchange", unfold);
-for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", () => setTimeout(unfold)); // again, too
+const again = () => setTimeout(unfold); // a link to what the address names already
+for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", again);
 unfold();

@@ -13,11 +13,13 @@ if (left) {
   parts[left.focus]?.focus({ preventScroll: true });
   scrollTo(0, left.y);
 }
-for (const name of ["pointerdown", "keydown", "input"]) addEventListener(name, () => { used = performance.now(); });
+const use = () => { used = performance.now(); };
+for (const name of ["pointerdown", "keydown", "input"]) addEventListener(name, use);
 setInterval(() => {
   if (player?.playing || performance.now() - used < AGAIN) return; // who watches an episode sees its end
   const open = [...document.querySelectorAll("details")].flatMap((one, place) => (one.open ? [place] : []));
-  const where = { open, y: scrollY, bookmark: player?.bookmark, focus: parts.indexOf(document.activeElement) };
+  const focus = parts.indexOf(document.activeElement);
+  const where = { open, y: scrollY, bookmark: player?.bookmark, focus };
   sessionStorage.setItem(KEPT, JSON.stringify(where));
   location.reload();
 }, AGAIN);

@@ -1,15 +1,13 @@
 /*
- * Drawing the box of tasks `space` and `space-moving` from above and from the side, as uavnav/envs/drawing.py draws it.
+ * The box of `space` and `space-moving` from above and from the side, as uavnav/envs/drawing.py draws it.
  * A place is [x, y, z], z upwards; a sphere [x, y, z, radius], with [vx, vy, vz] if it moves.
  */
 
-const VIEWS = [[0, 1, 2], [0, 2, 1]]; // from above, from the side: axes to the right, upwards, and looked along
+const VIEWS = [[0, 1, 2], [0, 2, 1]]; // from above, from the side: axes to the right, upwards, looked along
 
-function sizeOf({ width, depth, height }) {
-  return [width, depth, height];
-}
+function sizeOf({ width, depth, height }) { return [width, depth, height]; }
 
-/** A drone's right, up and forward in the world, each [x, y, z]: of yaw y and pitch p [radians], uavnav/tasks/space.py. */
+/** A drone's right, up and forward in the world, each [x, y, z], by its yaw and pitch [radians]: space.py. */
 function bodyAxes({ yaw, pitch }) {
   const [level, climb] = [Math.cos(pitch), Math.sin(pitch)];
   const [cosine, sine] = [Math.cos(yaw), Math.sin(yaw)];
@@ -20,14 +18,14 @@ function bodyAxes({ yaw, pitch }) {
 function spheresAt(world, spheres, steps) {
   const size = sizeOf(world);
   return spheres.map(([x, y, z, radius, ...speeds]) => {
-    const now = [x, y, z].map((from, axis) => (speeds.length ? reflect(from, speeds[axis], steps, size[axis])[0] : from));
+    const now = [x, y, z].map((from, axis) => reflect(from, speeds[axis] ?? 0, steps, size[axis])[0]);
     return [...now, radius];
   });
 }
 
 /**
- * A view of a box as drawArena takes it; the drone as droneAt has it. The slice through the drone's centre is dark; a sphere
- * before or behind it is pale, less so where it may be touched.
+ * A view of a box as drawArena takes it; the drone as droneAt has it. The slice through the drone's centre is
+ * dark; a sphere before or behind it is pale, less so where it may be touched.
  */
 function viewOf([right, up, along], { world, spheres, drone }) {
   const seen = (point) => [point[right], point[up]];

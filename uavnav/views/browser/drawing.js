@@ -1,8 +1,8 @@
 /*
- * Drawing the tasks of world.js: the arena with its drones, and one value for each action. The words for
- * numbers, too, and what plays.
+ * Drawing the tasks of world.js: the arena with its drones, and one value for each action. Words for numbers,
+ * too, and what plays.
  *
- * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle, each as a canvas takes it.
+ * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle.
  */
 
 const COLOURS = ["fg", "bg", "muted", "accent", "obstacle"];
@@ -42,12 +42,10 @@ function say(element, text) {
 }
 
 const STEPS_PER_SECOND = 30; // at speed 1
-const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
+const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play does not jump
 
 /** The name of a key, whether Shift is down or not. */
-function nameOfKey({ key }) {
-  return key === " " ? "space" : key.toLowerCase();
-}
+function nameOfKey({ key }) { return key === " " ? "space" : key.toLowerCase(); }
 
 /** The same if nothing else uses it: a button has Space and Enter, a slider arrows, a field or a list all. */
 function freeKey(event) {
@@ -59,10 +57,10 @@ function freeKey(event) {
 }
 
 /**
- * What plays: a class of it says how to begin (`start`), to end (`pause`), and what a picture needs (`frame`).
- * In its place on the page an element with `data-act` calls a method, with the number of its `data-by`: a button
- * by a click, and any by its `data-keys`, where it `data-repeats` also while one is held down. One button's act
- * is `toggle`.
+ * What plays: a class of it says how to begin (`start`), end (`pause`), and what a picture needs (`frame`).
+ * In its place on the page an element with `data-act` calls a method, with the number of its `data-by`: a
+ * button by a click, and any by its `data-keys`, where it `data-repeats` also while one is held down. One
+ * button's act is `toggle`.
  */
 class Playing {
   #playing = false;
@@ -81,13 +79,9 @@ class Playing {
     });
   }
 
-  act({ dataset: { act, by } }) {
-    this[act](Number(by));
-  }
+  act({ dataset: { act, by } }) { this[act](Number(by)); }
 
-  get playing() {
-    return this.#playing;
-  }
+  get playing() { return this.#playing; }
 
   set playing(playing) {
     this.#playing = playing;
@@ -134,7 +128,7 @@ function inkOn(colour) {
   return 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.18 ? "#000000" : "#ffffff";
 }
 
-/** Fit a canvas to its place on the screen, sharp on any; its context, cleared, in CSS px, its size and the colours there. */
+/** Fit a canvas to its place on the screen: its context, cleared, in CSS px, its size and its colours. */
 function fit(canvas) {
   const { width, height } = canvas.getBoundingClientRect();
   const size = [width, height].map((side) => Math.max(1, Math.round(side * devicePixelRatio)));
@@ -194,21 +188,23 @@ function drawSensor(context, world, { x, y, angle }, colours) {
   context.globalAlpha = 1;
 }
 
+/** The place [x, y] so far from another in a direction [radians]. */
+function alongside([x, y], angle, distance) {
+  return [x + distance * Math.cos(angle), y + distance * Math.sin(angle)];
+}
+
 /**
- * A drone: a disc in its colour with a line towards its heading, the shorter the less of it is in the plane; after a
- * collision a faint disc and a cross.
+ * A drone: a disc in its colour with a line towards its heading, the shorter the less of it is in the plane;
+ * after a collision a faint disc and a cross.
  */
 function drawDrone(context, world, { x, y, angle, reach = 1 }, crashed, thick, colours) {
-  const radius = world.drone_radius;
-  const at = (turn, share) => [x + share * radius * Math.cos(angle + turn), y + share * radius * Math.sin(angle + turn)];
+  const to = (degrees, share) => alongside([x, y], angle + radians(degrees), share * world.drone_radius);
   context.globalAlpha = crashed ? 0.35 : 1;
-  disc(context, x, y, radius, colours.accent);
+  disc(context, x, y, world.drone_radius, colours.accent);
   context.globalAlpha = 1;
   if (crashed) {
-    for (const turn of [Math.PI / 4, (3 * Math.PI) / 4]) line(context, [at(turn, 1), at(turn + Math.PI, 1)], 4 * thick, colours.accent);
-    return;
-  }
-  line(context, [[x, y], at(0, reach)], 4, colours.ink);
+    for (const turn of [45, 135]) line(context, [to(turn, 1), to(turn, -1)], 4 * thick, colours.accent);
+  } else line(context, [[x, y], to(0, reach)], 4, colours.ink);
 }
 
 const SHADES = 8; // of a trail that fades
@@ -229,7 +225,7 @@ function drawFading(context, trail, width, colour) {
 function drawSign(context, world, { x, y, angle }, sign, colours) {
   ring(context, x, y, world.drone_radius, 2, colours.fg);
   context.save();
-  context.translate(x - 0.42 * world.drone_radius * Math.cos(angle), y - 0.42 * world.drone_radius * Math.sin(angle));
+  context.translate(...alongside([x, y], angle, -0.42 * world.drone_radius));
   context.scale(1, -1);
   context.fillStyle = colours.ink;
   context.font = `700 ${0.8 * world.drone_radius}px system-ui, sans-serif`;
@@ -269,10 +265,10 @@ function drawEpisode(context, world, drone, thick, given) {
 /**
  * The arena from above, its circles and its drones in their order.
  *
- * A circle is [x, y, radius], with [vx, vy] if it moves; a pale one [x, y, radius, opacity]; the goal [x, y], if there is one.
- * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it senses; perhaps
- * `crashed`, `sign` (a character), `accent` (its colour) and `ink` (on it), `faint` where its sensor is not to be shown,
- * and `fades` where its trail does.
+ * A circle is [x, y, radius], with [vx, vy] if it moves; a pale one [x, y, radius, opacity]; a goal [x, y].
+ * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it
+ * senses; perhaps `crashed`, `sign` (a character), `accent` (its colour) and `ink` (on it), `faint` where its
+ * sensor is not to be shown, and `fades` where its trail does.
  */
 function drawArena(canvas, { world, circles, pale = [], goal, drones }) {
   const { context, width, colours } = fit(canvas);
@@ -298,13 +294,14 @@ function drawArena(canvas, { world, circles, pale = [], goal, drones }) {
 function colourOf(share) {
   const place = clamp(share, 0, 1) * (CIVIDIS.length - 1);
   const low = Math.min(Math.floor(place), CIVIDIS.length - 2);
-  const mix = CIVIDIS[low].map((part, index) => Math.round(part + (place - low) * (CIVIDIS[low + 1][index] - part)));
+  const between = (part, index) => Math.round(part + (place - low) * (CIVIDIS[low + 1][index] - part));
+  const mix = CIVIDIS[low].map(between);
   return `rgb(${mix.join(" ")})`;
 }
 
 /**
- * Colour the squares of a picture of values (values.html), each by its `shares` of the way from the value `low`
- * to `high`, and frame the chosen one. Without shares it has the words that `instead` gives.
+ * Colour the squares of a picture of values (values.html), each by its `shares` of the way from the value
+ * `low` to `high`, and frame the chosen one. Without shares it has the words that `instead` gives.
  */
 function showValues(picture, { instead = "", shares, chosen, low, high }) {
   [...picture.querySelector(".values-actions").children].forEach((square, action) => {

@@ -1,6 +1,6 @@
 /*
- * Layouts, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each is a
- * function of its seed. `needs` are uavnav/views/browser/__init__.py's.
+ * Layouts, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each
+ * is a function of its seed. `needs` are uavnav/views/browser/__init__.py's.
  */
 
 /** Uniform numbers in [0, 1), the same for the same seed (mulberry32). */
@@ -19,7 +19,7 @@ function toEdge([atX, atY], [x, y, radius]) {
   return Math.hypot(x - atX, y - atY) - radius;
 }
 
-/** k circles, of uniform radius and centre, drawn again until the start is free: sec. 4.1. More keep the first. */
+/** k circles of uniform radius and centre, drawn again until the start is free: sec. 4.1. */
 function generate(world, k, seed) {
   const draw = randomNumbers(seed);
   const start = [world.width / 2, world.height / 2];
@@ -35,7 +35,8 @@ function generate(world, k, seed) {
 
 /** So many normal numbers, two uniform ones each (Box and Muller). */
 function normalNumbers(count, draw) {
-  return Array.from({ length: count }, () => Math.sqrt(-2 * Math.log(1 - draw())) * Math.cos(2 * Math.PI * draw()));
+  const normal = () => Math.sqrt(-2 * Math.log(1 - draw())) * Math.cos(2 * Math.PI * draw());
+  return Array.from({ length: count }, normal);
 }
 
 /** Four columns of circles, each with a gap of so many px whose middle is uniform: uavnav/tasks/slalom.py. */
@@ -82,7 +83,7 @@ function roomAt({ width, height, border }, circles, x, y) {
 
 const LAYOUTS_TRIED = 20; // without a goal, before a circle is left out
 
-/** Circles with a goal that can be reached: { circles, goal }. The goal is uniform where there is room: goal.py. */
+/** { circles, goal }, where the goal can be reached. It is uniform where there is room: goal.py. */
 function generateGoal(world, needs, k, seed) {
   const { room, far, tries, grid } = needs;
   const draw = randomNumbers(seed ^ 0x2c1b3c6d);
@@ -92,9 +93,11 @@ function generateGoal(world, needs, k, seed) {
     for (let goals = 0; goals < tries; goals += 1) {
       const goal = [f32(world.width * draw()), f32(world.height * draw())];
       const away = ([x, y]) => Math.hypot(goal[0] - x, goal[1] - y);
-      const free = away([world.width / 2, world.height / 2]) >= far && roomAt(world, circles, ...goal) >= room;
-      if (free && places.some((place) => away(place) <= world.goal_radius)) return { circles, goal };
+      const isFar = away([world.width / 2, world.height / 2]) >= far;
+      const isFree = isFar && roomAt(world, circles, ...goal) >= room;
+      if (isFree && places.some((place) => away(place) <= world.goal_radius)) return { circles, goal };
     }
-    circles = generate(world, Math.max(0, k - Math.floor(tried / LAYOUTS_TRIED)), Math.floor(2 ** 32 * draw()));
+    const fewer = Math.max(0, k - Math.floor(tried / LAYOUTS_TRIED));
+    circles = generate(world, fewer, Math.floor(2 ** 32 * draw()));
   }
 }

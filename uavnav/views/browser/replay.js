@@ -1,8 +1,8 @@
 /*
  * The player of recorded episodes: new Player(root, data) shows it, which is the template inside an element.
  *
- * `data` is what uavnav/views/replays.py records; drawing.js draws it, and box.js says what is seen of what is in 3D. Nothing
- * moves before the reader asks for it.
+ * `data` is what uavnav/views/replays.py records; drawing.js draws it, and box.js says what is seen of what
+ * is in 3D. Nothing moves before the reader asks for it.
  */
 
 const TYPES = {
@@ -42,7 +42,8 @@ function droneAt(world, episode, read, step, trail = Infinity) {
   const place = (at) => ["x", "y", "z"].filter(has).map((axis) => read[axis](at));
   const [here, angle] = [place(step), radians(read.heading(step))];
   const names = ["right", "up", "forward", "proximity"].filter(has);
-  const slots = Array.from({ length: world.n_slots }, (_, slot) => names.map((name) => read[name](step, slot)));
+  const slotAt = (_, slot) => names.map((name) => read[name](step, slot));
+  const slots = Array.from({ length: world.n_slots }, slotAt);
   const first = Math.max(0, step - trail);
   const places = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
   const axes = has("pitch") ? bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) }) : planeAxes(angle);
@@ -63,7 +64,8 @@ class Player extends Playing {
     this.data = data;
     root.player = this;
     root.replaceChildren(root.querySelector("template").content);
-    this.parts = Object.fromEntries(Array.from(root.querySelectorAll("[data-part]"), (part) => [part.dataset.part, part]));
+    const parts = [...root.querySelectorAll("[data-part]")];
+    this.parts = Object.fromEntries(parts.map((part) => [part.dataset.part, part]));
     this.step = 0;
     fill(this.parts.configuration, data.configurations.map(({ name }, place) => [place, name]));
     const { player, configuration, seed, layout, slider } = this.parts;
@@ -99,7 +101,8 @@ class Player extends Playing {
     this.place = place;
     fill(parts.seed, [...new Set(episodes.map((one) => one.seed))].map((one) => [one, one]), seed);
     const own = episodes.filter((one) => one.seed === Number(parts.seed.value));
-    fill(parts.layout, own.map((one) => [one.layout, `${one.layout + 1} (${one.ended} at ${one.steps})`]), layout);
+    const words = (one) => `${one.layout + 1} (${one.ended} at ${one.steps})`;
+    fill(parts.layout, own.map((one) => [one.layout, words(one)]), layout);
     this.episode = own.find((one) => one.layout === Number(parts.layout.value));
     parts.values.innerHTML = place.values;
     parts.views.classList.toggle("in-3d", Boolean(place.world.depth));
@@ -113,8 +116,9 @@ class Player extends Playing {
       this.read = read;
       parts.slider.max = this.episode.steps;
       this.show(step);
-    } catch (error) {
-      if (this.unpacking === unpacking) parts.status.textContent = `This episode cannot be shown in this browser (${error.message}).`;
+    } catch ({ message }) {
+      if (this.unpacking !== unpacking) return;
+      parts.status.textContent = `This episode cannot be shown in this browser (${message}).`;
     }
   }
 
@@ -159,9 +163,10 @@ class Player extends Playing {
     const [{ episode, read, step, configuration }, last] = [this, this.episode.steps];
     const { world, actions } = this.place;
     const where = `step ${step} of ${last}`;
-    const facts = `reward so far ${fixed(read.reward(step), 2)}, clearance ${fixed(read.clearance(step), 1)} px`;
-    const did = step === last ? { goal: "goal reached" }[episode.ended] ?? episode.ended : `action: ${inWords(actions[read.action(step)])}`;
-    status.textContent = `${where}: ${facts}, ${did}`;
+    const [reward, clearance] = [fixed(read.reward(step), 2), fixed(read.clearance(step), 1)];
+    const ended = episode.ended === "goal" ? "goal reached" : episode.ended;
+    const did = step === last ? ended : `action: ${inWords(actions[read.action(step)])}`;
+    status.textContent = `${where}: reward so far ${reward}, clearance ${clearance} px, ${did}`;
     slider.setAttribute("aria-valuetext", where);
     caption.textContent = `${configuration.values} of each action (the chosen one is framed)`;
     arena.setAttribute("aria-label", `The ${world.depth ? "box" : "arena"} at ${where}, seen from above`);
@@ -176,7 +181,8 @@ class Player extends Playing {
     const { arena, side, values } = this.parts;
     const drone = droneAt(world, episode, read, step);
     const scene = { world, ...around(this.data, this.configuration, episode, step) };
-    if (world.depth) [arena, side].forEach((canvas, nth) => drawArena(canvas, viewOf(VIEWS[nth], { ...scene, drone })));
+    const look = (canvas, nth) => drawArena(canvas, viewOf(VIEWS[nth], { ...scene, drone }));
+    if (world.depth) [arena, side].forEach(look);
     else drawArena(arena, { ...scene, drones: [drone] });
     if (step === episode.steps) showValues(values, { instead: "the episode is over" });
     else {

@@ -1,9 +1,9 @@
 /*
- * Recorded episodes side by side on the same obstacles: new Together(root, data) lets them play by themselves, layout after
- * layout, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
+ * Recorded episodes side by side on the same obstacles: new Together(root, data) lets them play by
+ * themselves, layout after layout. Where the reader asks for less motion, they wait for the button.
  *
- * `root` contains a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
- * uavnav/views/replays.py gives; drawing.js draws it.
+ * `root` contains a figure with a canvas and an output for each drone, and a button. `data` is what
+ * `together` of uavnav/views/replays.py gives; drawing.js draws it.
  */
 
 const TOGETHER_SPEED = 60; // [steps / s]
@@ -32,8 +32,8 @@ class Together extends Playing {
   /** Unpack the episodes on a layout, and begin. */
   async load(layout) {
     const episodes = this.drones.map((drone) => drone.episodes[layout]);
-    const read = await Promise.all(episodes.map((episode) => unpack(episode, this.data.fields)));
-    this.drones.forEach((drone, place) => Object.assign(drone, { episode: episodes[place], read: read[place] }));
+    const every = await Promise.all(episodes.map((episode) => unpack(episode, this.data.fields)));
+    every.forEach((read, place) => Object.assign(this.drones[place], { episode: episodes[place], read }));
     this.layout = layout;
     this.last = Math.max(...episodes.map(({ steps }) => steps));
     this.step = this.playing ? 0 : Math.min(STILL, this.last);
@@ -46,9 +46,7 @@ class Together extends Playing {
     this.play();
   }
 
-  pause() {
-    this.playing = false;
-  }
+  pause() { this.playing = false; }
 
   frame(seconds) {
     this.due += seconds * TOGETHER_SPEED;

@@ -1,12 +1,13 @@
 "use strict";
 
 /*
- * The tasks of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action moves it, what
- * a step earns and ends. Nothing here draws, and nothing keeps a state.
+ * The tasks of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action
+ * moves it, what a step earns and ends. Nothing here draws, and nothing keeps a state.
  *
- * A page gives the constants of a task as uavnav/views/browser/__init__.py has them. A circle is [x, y, radius] px; one that
- * moves has [vx, vy] px a step more. A layout is { circles, goal }, the goal [x, y] px or none. A state has x, y [px],
- * heading [whole degrees] and the counts of an episode. Math.fround is where Python has float32.
+ * A page gives the constants of a task as uavnav/views/browser/__init__.py has them. A circle is [x, y,
+ * radius] px; one that moves has [vx, vy] px a step more. A layout is { circles, goal }, the goal [x, y] px
+ * or none. A state has x, y [px], heading [whole degrees] and an episode's counts. Math.fround is where
+ * Python has float32.
  */
 
 const f32 = Math.fround;
@@ -14,17 +15,13 @@ const VIEW_TOLERANCE = 1e-6; // so that rounding never hides a neighbour that is
 const COSINES = Float32Array.from({ length: 360 }, (_, degrees) => exactCosine(degrees));
 const SINES = Float32Array.from({ length: 360 }, (_, degrees) => exactCosine(degrees - 90));
 
-function radians(degrees) {
-  return (degrees * Math.PI) / 180;
-}
+function radians(degrees) { return (degrees * Math.PI) / 180; }
 
 function exactCosine(degrees) {
   return { 0: 1, 90: 0, 180: -1, 270: 0 }[(degrees + 360) % 360] ?? Math.cos(radians(degrees));
 }
 
-function clamp(value, low, high) {
-  return Math.min(Math.max(value, low), high);
-}
+function clamp(value, low, high) { return Math.min(Math.max(value, low), high); }
 
 /** An action's turn [degrees, left positive] and distance [px]: eqs (11) and (12). */
 function decode(world, action) {
@@ -72,9 +69,7 @@ function toSquares({ width, height, border }, x, y) {
   return [...rows, ...columns];
 }
 
-function lengthOf(dx, dy) {
-  return f32(Math.sqrt(f32(f32(dx * dx) + f32(dy * dy))));
-}
+function lengthOf(dx, dy) { return f32(Math.sqrt(f32(f32(dx * dx) + f32(dy * dy)))); }
 
 /** The direction of an offset of some length, as a drone of a heading sees it: [right, forward]. */
 function direction([dx, dy, length], heading) {
@@ -84,10 +79,10 @@ function direction([dx, dy, length], heading) {
 }
 
 /**
- * The ten nearest obstacles in view, eqs (9), (10) and (13), nearest first, ties in index order; and the clearance: the
- * distance [px] to the nearest of all, in view or not. -> { observation: Float32Array(30), clearance }
+ * The ten nearest obstacles in view, eqs (9), (10) and (13), nearest first, ties in index order; and the
+ * clearance: the distance [px] to the nearest of all, in view or not. -> { observation, clearance }
  *
- * echoes: what faults make of a filled slot, of its place and its distance [px]: the distance, or undefined if it is lost.
+ * echoes: what faults make of a filled slot, of its place and distance [px]: a distance, undefined if lost.
  */
 function sense(world, { x, y, heading }, circles, echoes = (slot, distance) => distance) {
   const around = circles.map(([cx, cy, radius]) => [f32(cx - x), f32(cy - y), radius]);
@@ -130,18 +125,18 @@ function planeAxes(angle) {
 function sensedPoints(world, place, axes, slots) {
   return slots.filter(isFilled).map((slot) => {
     const reach = world.drone_radius + slot.at(-1) * (world.sensor_radius - world.drone_radius);
-    return place.map((at, axis) => at + reach * axes.reduce((sum, own, part) => sum + slot[part] * own[axis], 0));
+    const ahead = (axis) => axes.reduce((sum, own, part) => sum + slot[part] * own[axis], 0);
+    return place.map((at, axis) => at + reach * ahead(axis));
   });
 }
 
 /** Whether a slot has a direction: an empty one has none, nor has one of what is at the drone's own place. */
-function isFilled(slot) {
-  return slot.slice(0, -1).some(Boolean);
-}
+function isFilled(slot) { return slot.slice(0, -1).some(Boolean); }
 
 /** The slots [right, forward, proximity] of an observation. */
 function slotsOf(world, observation) {
-  return Array.from({ length: world.n_slots }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
+  const slotAt = (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)];
+  return Array.from({ length: world.n_slots }, slotAt);
 }
 
 /** The way to the goal in an observation: right, forward and away [px]; undefined where none is sensed. */
@@ -152,7 +147,7 @@ function wayOf(world, observation, scale) {
 
 const NO_FAULTS = { noise: 0, lost: 0, late: 0, sticky: 0 }; // [px], probability, [steps], probability
 
-/** How many random numbers a step needs: normal ones of noise, uniform ones of lost echoes, and of a sticky actuator. */
+/** How many random numbers a step needs: normal of noise, uniform of lost echoes and of sticky actions. */
 function drawsOf(world, { noise, lost, sticky }) {
   return [noise > 0 ? world.n_slots : 0, lost > 0 ? world.n_slots : 0, Number(sticky > 0)];
 }
@@ -178,7 +173,7 @@ function metricOf({ column, scale }, state) {
   return state.steps ? (scale * state[column]) / state.steps : 0;
 }
 
-/** Where a number is that goes on from `place` at `speed` and bounces between 0 and `size`, and its speed then. */
+/** Where a number is that goes from `place` at `speed`, bouncing between 0 and `size`, and its speed then. */
 function reflect(place, speed, steps, size) {
   const way = place + speed * steps;
   const rest = way - 2 * size * Math.round(way / (2 * size)); // [-size, size]: the wave is its magnitude
@@ -186,7 +181,7 @@ function reflect(place, speed, steps, size) {
   return [f32(Math.abs(rest)), onwards ? speed : -speed];
 }
 
-/** The paper's task. Another task is a class that says what is different; who flies or draws asks only a task. */
+/** The paper's task. Another one is a class that says what differs; who flies or draws asks only a task. */
 class Task {
   moves = false; // whether obstacles do
 
@@ -197,46 +192,38 @@ class Task {
   }
 
   /** The random layout of a number, with k circles or gaps of so many px: the parts of a scene. */
-  generate({ k, layout }) {
-    return { circles: generate(this.world, k, layout) };
-  }
+  generate({ k, layout }) { return { circles: generate(this.world, k, layout) }; }
 
   /** A layout with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
-  arrange(layout, circles, seed) {
-    return { ...layout, circles };
-  }
+  arrange(layout, circles, seed) { return { ...layout, circles }; }
 
   /** Where the circles of a layout are after so many steps. */
-  obstacles(layout, steps) {
-    return layout.circles;
-  }
+  obstacles(layout, steps) { return layout.circles; }
 
   /** How many numbers a policy sees. */
-  get observationSize() {
-    return 3 * this.world.n_slots;
-  }
+  get observationSize() { return 3 * this.world.n_slots; }
 
   /** The random numbers that faults need to start, and in each step; draw: uniform ones. */
   draw(draw) {
-    const [normal, ...uniform] = drawsOf(this.world, this.faults);
-    return [...normalNumbers(normal, draw), ...uniform.flatMap((count) => Array.from({ length: count }, draw))];
+    const [normal, lost, sticky] = drawsOf(this.world, this.faults);
+    return [...normalNumbers(normal, draw), ...Array.from({ length: lost + sticky }, draw)];
   }
 
-  /** Where an episode starts: the centre of the window, heading up. draws: of `draw`, disturb what is sensed first. */
+  /** Where an episode starts: the centre, heading up. draws: of `draw`, disturb what is sensed first. */
   start(layout, draws) {
     const counts = { steps: 0, stops: 0, full_stops: 0, turns: 0, distance: 0, reward: 0, waited: 0 };
     const { width, height } = this.world;
     return this.remember({ x: width / 2, y: height / 2, heading: 90, ...counts }, layout, draws);
   }
 
-  /** The same state where only what is there now was ever sensed, if there are faults; the last action stays. */
+  /** The same state where only what is there now was ever sensed, if there are faults; the action stays. */
   remember(state, layout, draws) {
     if (!this.remembers) return state;
     const seen = Array(this.faults.late + 1).fill(this.sense(state, layout, draws).observation);
     return { ...state, seen, executed: state.executed ?? 0 };
   }
 
-  /** What is sensed now; without draws, as it is. Circles move also while a drone has waited. -> { observation, clearance } */
+  /** { observation, clearance } now; without draws, as they are. Circles move also while a drone waits. */
   sense(state, layout, draws) {
     const echoes = draws?.length ? echoesOf(this.world, this.faults, draws) : undefined;
     return sense(this.world, state, this.obstacles(layout, state.steps + state.waited), echoes);
@@ -248,7 +235,7 @@ class Task {
     return { observation: this.remembers ? state.seen.at(-1) : observation, clearance };
   }
 
-  /** Move, sense, then judge. -> { state, observation, clearance, ended: "", "collision", "goal" or "time-out" } */
+  /** Move, sense, judge. -> { state, observation, clearance, ended }: "", "collision", "goal", "time-out". */
   step(state, action, layout, draws) {
     const sticks = this.faults.sticky && state.steps > 0 && draws.at(-1) < this.faults.sticky;
     const executed = sticks ? state.executed : action;
@@ -290,7 +277,7 @@ class Slalom extends Task {
   }
 }
 
-/** Circles that fly straight on and bounce off the edges of the window: where they are follows from the step. */
+/** Circles that fly straight on and bounce off the window's edges: where they are follows from the step. */
 class Moving extends Task {
   moves = true;
 
@@ -314,17 +301,11 @@ class Moving extends Task {
 
 /** A place to fly to among circles that stand still: an observation has three numbers more. */
 class Goal extends Task {
-  generate({ k, layout }) {
-    return generateGoal(this.world, this.needs, k, layout);
-  }
+  generate({ k, layout }) { return generateGoal(this.world, this.needs, k, layout); }
 
-  get observationSize() {
-    return super.observationSize + 3;
-  }
+  get observationSize() { return super.observationSize + 3; }
 
-  free(layout) {
-    return [...super.free(layout), [...layout.goal, this.needs.room]];
-  }
+  free(layout) { return [...super.free(layout), [...layout.goal, this.needs.room]]; }
 
   /** From a place to the goal: dx, dy and distance [px]. */
   toGoal({ x, y }, { goal }) {
@@ -332,7 +313,7 @@ class Goal extends Task {
     return [dx, dy, lengthOf(dx, dy)];
   }
 
-  /** The slots, then the direction to the goal, right and forward, and its distance in 1,000 px, at most 1. */
+  /** The slots, then the goal's direction, right and forward, and its distance in 1,000 px, at most 1. */
   sense(state, layout, draws) {
     const { observation, clearance } = super.sense(state, layout, draws);
     const way = this.toGoal(state, layout);
@@ -341,7 +322,7 @@ class Goal extends Task {
     return { observation: Float32Array.from([...observation, ...ahead]), clearance };
   }
 
-  /** The goal earns 10, a pixel nearer to it 0.01, a turn or a stop -0.01; a collision -10 and nothing else. */
+  /** The goal earns 10, a pixel nearer to it 0.01, a turn or a stop -0.01; a collision -10, nothing else. */
   judge(before, after, { degrees, pixels, collided }, layout) {
     const { world } = this;
     const [far, near] = [before, after].map((state) => this.toGoal(state, layout)[2]);

@@ -14,8 +14,8 @@ function download(name, parts) {
 }
 
 /**
- * The row of a drone's episode, if it is one to keep: flown by a person from start to end, on a layout of the test split of
- * the paper's task as it is, with the time limit of an evaluation.
+ * The row of a drone's episode, if it is one to keep: flown by a person from start to end, on a test layout
+ * of the paper's task as it is, with the time limit of an evaluation.
  */
 function rowOf({ scene, task }, { pilot, state, ended, handed }, limit) {
   const usual = scene.task === "drone" && task.max_steps === limit && !task.remembers;

@@ -3,7 +3,10 @@
  */
 
 const STRIDE = { circle: 10, size: 5 }; // [px] that a key moves or sizes a drawn circle
-const ARROWS = { arrowleft: "left", arrowright: "right", arrowup: "up", arrowdown: "down", a: "left", d: "right", w: "up", s: "down" };
+const ARROWS = {
+  arrowleft: "left", arrowright: "right", arrowup: "up", arrowdown: "down",
+  a: "left", d: "right", w: "up", s: "down",
+};
 const WAYS = { left: [-1, 0], right: [1, 0], up: [0, 1], down: [0, -1] };
 
 class Keyboard {
@@ -37,7 +40,7 @@ class Keyboard {
     else if (!repeat) [this.held, this.tapped].forEach((keys) => keys.add(arrow));
   }
 
-  /** The turn [degrees] and distance [px] of the next step: a key that was tapped since the last one counts once. */
+  /** The turn [degrees] and distance [px] of the next step: a key tapped since the last one counts once. */
   hand() {
     const { race, world } = this.app;
     const keys = new Set([...this.held, ...this.tapped]);

@@ -1,11 +1,11 @@
 /*
- * A scene as the fragment of a link, and back. What a fragment says is data of strangers: each part is checked, and what
- * does not pass is named and left out.
+ * A scene as the fragment of a link, and back. A fragment is data of strangers: each part is checked, and
+ * what does not pass is named and left out.
  *
- * A scene is { task, layouts, layout, k, circles, pilots, focus, speed, greedy, seed } and the settings of the task
- * (`data.settings`: gap, pace, noise, lost, late, sticky). `layouts` names a split of the page, whose layout number `layout`
- * is that of Python, or is RANDOM: then the number is a seed, and k says how many circles there are. `circles`
- * [x, y, radius] px are drawn by hand, or null. `pilots` fly in the next race; `seed` is of all random numbers.
+ * A scene is { task, layouts, layout, k, circles, pilots, focus, speed, greedy, seed } and settings of
+ * the task. `layouts` names a split of the page, whose layout number `layout` is Python's, or is RANDOM: then
+ * the number is a seed, and k says how many circles there are. `circles` [x, y, radius] px are drawn by
+ * hand, or null. `pilots` fly in the next race; `seed` is of all random numbers.
  */
 
 const YOU = "you";
@@ -22,7 +22,7 @@ function readNumber(text, { low = 0, high, step = 1 }) {
   return number >= low && number <= high && Math.abs(steps - Math.round(steps)) < 1e-6 ? number : undefined;
 }
 
-/** A circle "x_y_radius" with one decimal at most, within the world; a race says whether it leaves the start free. */
+/** A circle "x_y_radius" with at most one decimal, within the world; a race says if the start is free. */
 function readCircle(world, text) {
   const match = /^(\d{1,3}(?:\.\d)?)_(\d{1,3}(?:\.\d)?)_(\d{2,3}(?:\.\d)?)$/.exec(text);
   if (!match) return undefined;
@@ -48,7 +48,7 @@ function readPilots(text) {
   return right && pilots.filter((pilot) => pilot === YOU).length <= 1 ? pilots : undefined;
 }
 
-/** How each part of a scene is read from a text: undefined where it is not right. world: whose circles they are. */
+/** How each part of a scene is read from a text: undefined where it is wrong. world: of the circles. */
 function readers(settings, world) {
   const parts = {
     task: (text) => readChoice("task", text),
@@ -78,8 +78,8 @@ function readLink(fragment, read) {
 }
 
 /**
- * The fragment of a scene, without the #; settings are in it that the task has, and that are not as they come on every
- * page, or come otherwise on this one.
+ * The fragment of a scene, without the #; settings are in it that the task has, and that are not as they come
+ * on every page, or come otherwise on this one.
  */
 function writeLink(scene, settings) {
   const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_"));

@@ -1,5 +1,5 @@
 /*
- * The instruments: the table of the race, and of the drone in focus its values, its slots and its hidden units.
+ * The instruments: the table of the race, and of the drone in focus its values, slots and hidden units.
  */
 
 const ENDS = { "": "flying", collision: "crashed", goal: "arrived", "time-out": "time limit" };
@@ -12,8 +12,8 @@ function nameOf(pilot, policies) {
 }
 
 /**
- * A colour for each pilot, the same for the same one: the rule of uavnav/colours.py, whose tables are `known` and `others`.
- * Black is the page's ink, which is bright in the dark.
+ * A colour for each pilot, the same for the same one: the rule of uavnav/colours.py, whose tables are `known`
+ * and `others`. Black is the page's ink, which is bright in the dark.
  */
 function coloursOf(pilots, policies, { known, others }, ink) {
   const found = new Map();
@@ -27,8 +27,8 @@ function coloursOf(pilots, policies, { known, others }, ink) {
 }
 
 /**
- * What a drone senses, in its own frame: itself in the middle, ahead of it up, and nothing behind it but the way
- * to the goal, if there is one: right, forward [-1 to 1] and away [px].
+ * What a drone senses, in its own frame: itself in the middle, ahead of it up, and nothing behind it but the
+ * way to the goal, if there is one: right, forward [-1 to 1] and away [px].
  */
 function drawSlots(canvas, { world, slots, way, mine }) {
   const { context, width, colours } = fit(canvas);
@@ -105,7 +105,7 @@ class Panel {
     const { action, shown, low, high, hidden = [] } = drone.thought;
     const chosen = race.canFly(drone.pilot) ? (action ?? encode(this.world, race.hand)) : undefined;
     const words = chosen === undefined ? "" : `: ${inWords(this.actions[chosen])}`;
-    const subject = policy ? `${policy.shown} of each action, the chosen one framed` : "each action, the chosen one framed";
+    const subject = `${policy ? `${policy.shown} of ` : ""}each action, the chosen one framed`;
     say(this.find("values-title"), subject);
     const values = this.find("values");
     const shares = shown && ((one) => (shown[one] - low) / (high - low || 1));
@@ -123,7 +123,7 @@ class Panel {
     const goal = way ? `; the goal at ${fixed(way[2], 0)} px` : "";
     const edge = `; the nearest edge at ${fixed(drone.clearance, 0)} px${goal}`;
     sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled${edge}`);
-    say(this.find("sensor-title"), way ? "the ten slots it senses, and the way to the goal" : "the ten slots it senses");
+    say(this.find("sensor-title"), `the ten slots it senses${way ? ", and the way to the goal" : ""}`);
     const said = hidden.length ? "its hidden units, the greater the brighter" : "hidden units: none";
     say(this.find("units-title"), said);
     drawUnits(this.find("units"), hidden);

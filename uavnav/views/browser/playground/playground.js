@@ -1,15 +1,18 @@
 /*
  * The page: new Playground(data) brings the race, the arena, the instruments and the controls together.
  *
- * `data` is what __init__.py writes: constants of the tasks, their layouts and settings, metrics, colours and policies.
- * In the page, an element with `data-scene` shows a part of the scene and changes it.
+ * `data` is what __init__.py writes: constants of the tasks, their layouts and settings, metrics, colours and
+ * policies. In the page, an element with `data-scene` shows a part of the scene and changes it.
  */
 
 const ADDRESS = 200; // [ms] from a change of the scene to the address that contains it
 const WAYS_TO_END = { collision: "crashed", goal: "arrived", "time-out": "flew to the time limit" };
 const OTHER_LAYOUT = { circles: null };
 const RANDOM_LAYOUT = { layouts: RANDOM, circles: null };
-const ALSO = { k: RANDOM_LAYOUT, gap: RANDOM_LAYOUT, pace: { layouts: RANDOM }, layouts: OTHER_LAYOUT, layout: OTHER_LAYOUT };
+const ALSO = {
+  k: RANDOM_LAYOUT, gap: RANDOM_LAYOUT, pace: { layouts: RANDOM },
+  layouts: OTHER_LAYOUT, layout: OTHER_LAYOUT,
+};
 
 class Playground extends Playing {
   constructor(data) {
@@ -26,8 +29,9 @@ class Playground extends Playing {
     this.listenTo(document);
     this.controls = [...document.querySelectorAll("[data-scene]")];
     for (const control of this.controls) {
-      const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
-      control.addEventListener(control.type === "range" ? "input" : "change", () => this.set(control.id, text()));
+      const { id, type } = control;
+      const text = () => (type === "checkbox" ? (control.checked ? "yes" : "no") : control.value);
+      control.addEventListener(type === "range" ? "input" : "change", () => this.set(id, text()));
     }
     this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
     addEventListener("hashchange", () => this.open());
@@ -35,17 +39,11 @@ class Playground extends Playing {
     this.open();
   }
 
-  get world() {
-    return this.race.task.world;
-  }
+  get world() { return this.race.task.world; }
 
-  get scene() {
-    return this.race.scene;
-  }
+  get scene() { return this.race.scene; }
 
-  get focus() {
-    return this.scene.focus - 1;
-  }
+  get focus() { return this.scene.focus - 1; }
 
   /** The scene that the address names; what is wrong in it is told. */
   open() {
@@ -85,9 +83,7 @@ class Playground extends Playing {
     }
   }
 
-  tell(words) {
-    say(this.find("notice"), words);
-  }
+  tell(words) { say(this.find("notice"), words); }
 
   /** The person steers: the first key or touch begins the race, and brings that drone into focus. */
   begin() {
@@ -108,7 +104,7 @@ class Playground extends Playing {
     this.changed();
   }
 
-  /** Show the scene, and keep it in the address soon: browsers slow down pages that change it at every move of a slider. */
+  /** Show the scene, and keep it in the address soon: browsers slow down pages that change it too often. */
   changed() {
     clearTimeout(this.later);
     this.later = setTimeout(() => this.write(), ADDRESS);
@@ -129,19 +125,19 @@ class Playground extends Playing {
   /** Another task, its obstacles its own; whoever cannot fly there waits. */
   enter(task) {
     if (this.stage.drawing) this.draw();
-    this.change({ task, layouts: Object.keys(this.data.layouts[task] ?? {})[0] ?? RANDOM, circles: null }, true);
+    const [layouts = RANDOM] = Object.keys(this.data.layouts[task] ?? {});
+    this.change({ task, layouts, circles: null }, true);
     this.focusOnFlyer();
     this.changed();
   }
 
-  /** Where the drone in focus is none of those in the race, or of those given, the first of them is in focus. */
+  /** Where the drone in focus is none of those in the race, or of those given, the first of them is. */
   focusOnFlyer(drones = this.race.piloted) {
-    if (drones.length && !drones.includes(this.race.drones[this.focus])) this.scene.focus = drones[0].place + 1;
+    const isAmong = drones.includes(this.race.drones[this.focus]);
+    if (drones.length && !isAmong) this.scene.focus = drones[0].place + 1;
   }
 
-  again() {
-    this.change({}, true);
-  }
+  again() { this.change({}, true); }
 
   /** How many layouts there are of the kind that is shown. */
   get count() {
@@ -161,9 +157,7 @@ class Playground extends Playing {
     return this.set("speed", options[clamp(selectedIndex + by, 0, options.length - 1)].value);
   }
 
-  focusOn(focus) {
-    this.change({ focus });
-  }
+  focusOn(focus) { this.change({ focus }); }
 
   handTo(place, pilot) {
     if (pilot === YOU) {
@@ -183,7 +177,8 @@ class Playground extends Playing {
 
   nextPolicy() {
     const keys = this.data.policies.map(({ key }) => key).filter((key) => this.race.canFly(key));
-    if (keys.length) this.handTo(this.focus, keys[(keys.indexOf(this.scene.pilots[this.focus]) + 1) % keys.length]);
+    const next = keys.indexOf(this.scene.pilots[this.focus]) + 1;
+    if (keys.length) this.handTo(this.focus, keys[next % keys.length]);
   }
 
   /** Begin to draw obstacles, or fly again. */
@@ -249,25 +244,26 @@ class Playground extends Playing {
     this.stage.held = null; // it has another circle now
   }
 
-  clear() {
-    this.edit([], -1);
-  }
+  clear() { this.edit([], -1); }
 
   /** Save the episodes that a person flew, with those that this browser kept before. */
   keep() {
     const count = this.rows.length && keepRows(this.data.columns, this.rows);
     const none = "There is no new episode to keep: fly one on a test layout of the paper's task to its end.";
+    const kept = `human.csv has your episodes: ${count}. For a report: uavnav play --keep human.csv`;
     this.rows = [];
-    this.tell(count ? `human.csv has your episodes: ${count}. For a report: uavnav play --keep human.csv` : none);
+    this.tell(count ? kept : none);
     this.show();
   }
 
   /** Save the obstacles as a layout file. */
   async saveLayout() {
     const { layout, scene } = this.race;
-    if (layout.goal || !layout.circles.length) return this.tell("Only layouts with obstacles and without a goal can be saved.");
-    await saveRows(layout.circles, this.data.headers[scene.task]);
-    return this.tell("own.safetensors has these obstacles: uavnav play --layouts own.safetensors");
+    const isRight = layout.circles.length && !layout.goal;
+    if (isRight) await saveRows(layout.circles, this.data.headers[scene.task]);
+    this.tell(isRight
+      ? "own.safetensors has these obstacles: uavnav play --layouts own.safetensors"
+      : "Only layouts with obstacles and without a goal can be saved.");
   }
 
   start() {
@@ -323,8 +319,9 @@ class Playground extends Playing {
 
   /** The colour of each drone's pilot. */
   get pilots() {
-    const { policies, colours } = this.data;
-    return coloursOf(this.race.drones.map(({ pilot }) => pilot), policies, colours, readColours(document.body).fg);
+    const { data: { policies, colours }, race: { drones } } = this;
+    const ink = readColours(document.body).fg;
+    return coloursOf(drones.map(({ pilot }) => pilot), policies, colours, ink);
   }
 
   /** Everything but the scene's own controls. */
@@ -351,12 +348,13 @@ class Playground extends Playing {
   showPilot() {
     const { race, scene, find } = this;
     const next = scene.pilots[this.focus];
-    const ended = next === race.drones[this.focus].pilot ? "" : "This drone's episode has ended: the next start hands it over. ";
+    const waits = "This drone's episode has ended: the next start hands it over. ";
     say(find("take"), next === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
     say(find("focus-number"), String(scene.focus));
     say(find("steering"), race.yours
-      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
+      ? `Drone ${race.yours.place + 1} is yours: arrow keys, or hold mouse or finger where it shall fly.`
       : "To fly by hand, choose a drone and take it.");
+    const ended = next === race.drones[this.focus].pilot ? "" : waits;
     say(find("acts"), `${ended}${race.policyOf(next)?.told ?? ""}`);
     for (const option of find("pilot").options) {
       option.selected = option.value === next;
@@ -368,7 +366,8 @@ class Playground extends Playing {
   showWorld() {
     const { race, scene, find } = this;
     const { settings, policies, about, layouts } = this.data;
-    for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.task]?.[option.value];
+    const has = (name) => name === RANDOM || name in (layouts[scene.task] ?? {});
+    for (const option of find("layouts").options) option.disabled = !has(option.value);
     find("they-move").hidden = !race.task.moves;
     find("k").value = race.circles.length;
     find("k").disabled = this.stage.drawing;
@@ -376,8 +375,8 @@ class Playground extends Playing {
     for (const [name, { unit }] of Object.entries(settings)) {
       say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
     }
-    const faults = Object.entries(settings).filter(([name, { tasks: where }]) => !where.length && scene[name] > 0);
-    say(find("faults-now"), faults.map(([name]) => `${name} ${short(scene[name])}`).join(", ") || "none");
+    const faults = Object.keys(NO_FAULTS).filter((name) => scene[name] > 0);
+    say(find("faults-now"), faults.map((name) => `${name} ${short(scene[name])}`).join(", ") || "none");
     const able = !policies.length || policies.some(({ key }) => race.canFly(key));
     const told = able ? "" : " No network here has learned that: you and the scripted policy fly.";
     say(find("told"), `${about[scene.task].told}${told}`);
@@ -389,10 +388,12 @@ class Playground extends Playing {
     const mine = race.yours;
     const atStart = !this.playing && race.steps === 0;
     const over = race.steps > 0 && !race.flying().length;
+    const crashed = race.piloted.every(({ ended }) => ended === "collision");
+    const told = mine && `step ${mine.state.steps}, reward ${fixed(mine.state.reward, 1)}`;
     let words = "";
     if (atStart) words = mine ? "Press an arrow key to fly, Space to watch." : "Press Space to watch.";
-    else if (mine?.ended) words = `You ${WAYS_TO_END[mine.ended]}: step ${mine.state.steps}, reward ${fixed(mine.state.reward, 1)}.`;
-    else if (over) words = race.piloted.every(({ ended }) => ended === "collision") ? "All have crashed." : "The race is over.";
+    else if (mine?.ended) words = `You ${WAYS_TO_END[mine.ended]}: ${told}.`;
+    else if (over) words = crashed ? "All have crashed." : "The race is over.";
     find("banner").hidden = !words || this.stage.drawing || !race.piloted.length;
     say(find("banner-words"), words);
     find("banner-touch").hidden = !atStart || !mine;

@@ -2,14 +2,19 @@
  * Trained networks, as uavnav/networks.py and uavnav/acting.py have them: functions of what is sensed and of
  * uniform random numbers.
  *
- * A network's numbers are float32; sums are taken in double, so that outputs differ from PyTorch's in their last bits.
+ * A network's numbers are float32; sums are double, so that outputs differ from PyTorch's in their last bits.
  */
+
+/** The polynomial with these coefficients, the constant first, by Horner's rule. */
+function polynomial(coefficients, x) {
+  return coefficients.reduceRight((sum, coefficient) => sum * x + coefficient, 0);
+}
 
 /** The error function (Abramowitz and Stegun 7.1.26, within 1.5e-7). */
 function erf(x) {
   const t = 1 / (1 + 0.3275911 * Math.abs(x));
-  const series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
-  return Math.sign(x) * (1 - series * Math.exp(-x * x));
+  const terms = [0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429];
+  return Math.sign(x) * (1 - t * polynomial(terms, t) * Math.exp(-x * x));
 }
 
 const sigmoid = (x) => 1 / (1 + Math.exp(-x));
@@ -35,12 +40,11 @@ const ACTIVATIONS = {
 
 /** A rational function with six coefficients above and four below: uavnav/networks.py. */
 function rational(x, learned) {
-  const above = learned.slice(0, 6).reduceRight((sum, a) => sum * x + a, 0);
-  const below = learned.slice(6).reduceRight((sum, b) => (sum + Math.abs(b)) * Math.abs(x), 0);
-  return above / (1 + below);
+  const below = [1, ...learned.slice(6).map(Math.abs)];
+  return polynomial(learned.slice(0, 6), x) / polynomial(below, Math.abs(x));
 }
 
-/** Activations that are no function of one number: of a layer's sums, and of the numbers that they have learned. */
+/** Activations that are no function of one number: of a layer's sums, and of numbers that they learned. */
 const LAYERS = {
   crelu: (sums) => [...sums, ...sums.map((x) => -x)].map(ACTIVATIONS.relu),
   fourier: (sums) => [...[...sums].map(Math.sin), ...[...sums].map(Math.cos)],
@@ -57,9 +61,7 @@ function activated(name, sums, learned) {
 }
 
 /** Base64 of little-endian float32 as numbers. */
-function floats(text) {
-  return new Float32Array(bytesOf(text).buffer);
-}
+function floats(text) { return new Float32Array(bytesOf(text).buffer); }
 
 /** Values that LayerNorm centres and scales. */
 function normalised(values) {
@@ -77,7 +79,7 @@ function linear(inputs, weight, bias) {
   return Float32Array.from(sums);
 }
 
-/** A state's values and each action's advantages, `atoms` numbers each, as those of actions: v + a - mean a. */
+/** A state's values and each action's advantages, `atoms` numbers each, as the actions': v + a - mean a. */
 function dueling(outputs, atoms = 1) {
   const actions = outputs.length / atoms - 1;
   const advantages = outputs.subarray(atoms);
@@ -100,15 +102,15 @@ const HEADS = {
   direct: (outputs) => outputs,
   dueling: (outputs) => dueling(outputs),
   distribution: expected,
-  "dueling-distribution": (outputs, least, most, atoms) => expected(dueling(outputs, atoms), least, most, atoms),
+  "dueling-distribution": (outputs, ...numbers) => expected(dueling(outputs, numbers.at(-1)), ...numbers),
 };
 
-/** A trained network: observation -> { hidden: the activations of each hidden layer, values: one number an action }. */
+/** A trained network: observation -> { hidden: each hidden layer's activations, values: one an action }. */
 function network({ sizes, activation, layer_norm, head, weights }) {
   const numbers = floats(weights);
   let at = 0;
   const take = (count) => numbers.subarray(at, (at += count));
-  const layers = sizes.map(([inputs, outputs, learned]) => [take(inputs * outputs), take(outputs), take(learned)]);
+  const layers = sizes.map(([inputs, outputs, own]) => [inputs * outputs, outputs, own].map(take));
   const last = layers.pop();
   const [name, ...given] = head.split(" ");
   const valuesOf = (outputs) => HEADS[name](outputs, ...given.map(Number));
@@ -132,9 +134,7 @@ function softmax(values) {
 }
 
 /** The place of the first largest value; -1 of none. */
-function best(values) {
-  return values.indexOf(Math.max(...values));
-}
+function best(values) { return values.indexOf(Math.max(...values)); }
 
 /** Ways to act in training: each chooses an action of the values, with uniform random numbers. */
 const ACTS = {
@@ -161,8 +161,9 @@ const ACTS = {
 const SHOWN = { probability: softmax, "Q value": (values) => [...values] };
 
 /**
- * What a policy of the page makes of an observation: { action, hidden, shown, low, high }, where `shown` [actions] is
- * what a picture shows, from `low` to `high`. draw: uniform random numbers; greedy: the best action always.
+ * What a policy of the page makes of an observation: { action, hidden, shown, low, high }, where `shown`
+ * [actions] is what a picture shows, from `low` to `high`. draw: uniform random numbers; greedy: the best
+ * action always.
  */
 function think(policy, observation, draw, greedy) {
   policy.network ??= network(policy); // unpacked when it is first asked

@@ -1,6 +1,6 @@
 /*
- * The race: up to four drones on the same obstacles, each flown by a person, a policy or a scripted policy. It has the
- * state and draws nothing; what happens is asked of a task of world.js.
+ * The race: up to four drones on the same obstacles, each flown by a person, a policy or a scripted policy.
+ * It has the state and draws nothing; what happens is asked of a task of world.js.
  */
 
 const TRAIL = 1500; // points of a trail that are kept, up to the pose before the last
@@ -18,10 +18,11 @@ class Race {
     const given = this.tasks[scene.task];
     const split = this.layouts[scene.task]?.[scene.layouts];
     this.scene = split ? { ...scene, layout: scene.layout % split.length } : { ...scene, layouts: RANDOM };
-    if (scene.task === "moving" && split && !scene.circles) this.scene.pace = given.world.speed_max; // the split's own
+    const moves = scene.task === "moving";
+    if (moves && split && !scene.circles) this.scene.pace = given.world.speed_max; // the split's own
     const { noise, lost, late, sticky, pace } = this.scene;
-    const speeds = { speed_min: Math.min(given.world.speed_min, pace), speed_max: pace };
-    const world = scene.task === "moving" ? { ...given.world, ...speeds } : given.world;
+    const speeds = moves && { speed_min: Math.min(given.world.speed_min, pace), speed_max: pace };
+    const world = { ...given.world, ...speeds };
     this.task = new TASKS[scene.task]({ ...given, world }, { noise, lost, late, sticky });
     this.layout = split ? unpacked(split[this.scene.layout]) : this.task.generate(scene);
     if (scene.circles) this.layout = this.task.arrange(this.layout, scene.circles, scene.layout);
@@ -29,18 +30,15 @@ class Race {
   }
 
   /** Those of the layout, as they are at the start: [x, y, radius] px. */
-  get circles() {
-    return this.layout.circles.map((circle) => circle.slice(0, 3));
-  }
+  get circles() { return this.layout.circles.map((circle) => circle.slice(0, 3)); }
 
   /** What circles leave free: [x, y, room] px. */
-  get free() {
-    return this.task.free(this.layout);
-  }
+  get free() { return this.task.free(this.layout); }
 
   /** Whether all circles leave free what they must, as far as a link can say. */
   circlesFit() {
-    return this.circles.every((circle) => this.free.every((place) => toEdge(place, circle) >= place[2] - ROUNDED));
+    const fits = (circle) => this.free.every((place) => toEdge(place, circle) >= place[2] - ROUNDED);
+    return this.circles.every(fits);
   }
 
   /** Every drone back at the start, on the same obstacles and with the same random numbers. */
@@ -50,7 +48,7 @@ class Race {
     this.begun = false; // whether the person steers; before, that drone waits at the start
     this.drones = this.scene.pilots.map((pilot, place) => {
       const seed = this.scene.seed + place * 0x9e3779b1;
-      const [draw, chance] = [randomNumbers(seed), randomNumbers(seed ^ 0x3c6ef372)]; // of the policy, and of faults
+      const [draw, chance] = [seed, seed ^ 0x3c6ef372].map(randomNumbers); // of the policy, and of faults
       const state = this.task.start(this.layout, this.task.draw(chance));
       const before = this.drones?.[place].before ?? REACTIVE; // to whom a person hands it back
       return { place, pilot, before, state, last: state, trail: [], draw, chance, ended: "", handed: false };
@@ -67,8 +65,8 @@ class Race {
   }
 
   /**
-   * Hand a drone to someone else, where it is. One that has ended stays with the pilot who ended it: the other one has it
-   * from the next start. A person flies one drone only: another one goes back to who had it.
+   * Hand a drone to someone else, where it is. One that has ended stays with the pilot who ended it: the
+   * other one has it from the next start. A person flies one drone only: another one goes back to who had it.
    */
   handTo(place, pilot) {
     const { pilots } = this.scene;
@@ -105,22 +103,22 @@ class Race {
     this.decide(drone);
   }
 
-  policyOf(pilot) {
-    return this.policies.find(({ key }) => key === pilot);
-  }
+  policyOf(pilot) { return this.policies.find(({ key }) => key === pilot); }
 
-  /** Whether a pilot knows what there is to see in this world: a network reads so many numbers and no others. */
+  /** Whether a pilot knows what there is to see in this world: a network reads so many numbers, no others. */
   canFly(pilot) {
     const policy = this.policyOf(pilot);
     return pilot !== NOBODY && (!policy || policy.sizes[0][0] === this.task.observationSize);
   }
 
-  /** What the drone will do from here, and why: `thought` has an action, and of a policy the numbers behind it. */
+  /** What the drone will do from here: `thought` has an action, and of a policy the numbers behind it. */
   decide(drone) {
+    const { task, scene } = this;
     const { pilot, observation, draw } = drone;
+    const script = SCRIPTED[pilot];
     if (pilot === YOU || !this.canFly(pilot)) drone.thought = {};
-    else if (SCRIPTED[pilot]) drone.thought = { action: SCRIPTED[pilot](this.scene.task, this.task, observation, draw) };
-    else drone.thought = think(this.policyOf(pilot), observation, draw, this.scene.greedy);
+    else if (script) drone.thought = { action: script(scene.task, task, observation, draw) };
+    else drone.thought = think(this.policyOf(pilot), observation, draw, scene.greedy);
   }
 
   /** The person's drone, rather one that flies than one that has ended; undefined where there is none. */
@@ -130,9 +128,7 @@ class Race {
   }
 
   /** Those that are in the race: whose pilots can fly here. */
-  get piloted() {
-    return this.drones.filter(({ pilot }) => this.canFly(pilot));
-  }
+  get piloted() { return this.drones.filter(({ pilot }) => this.canFly(pilot)); }
 
   /** Those that are in the race and have not ended. */
   flying() {

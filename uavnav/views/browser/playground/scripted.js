@@ -59,10 +59,10 @@ function towardsGoal(world, observation, { scale, bearings, look, spare }) {
   return encode(world, [angle, Math.abs(wanted) >= 45 ? 0 : safe]);
 }
 
-/** The first action of the way that keeps most clear of what is in view, also if that comes nearer by itself. */
+/** The first action of the way that keeps most clear of what is in view, also if that comes nearer itself. */
 function dodge(world, observation, { ways, body, drift, enough }) {
-  const echoes = bodiesIn(world, observation);
-  const centres = echoes.map(({ right, forward, distance }) => [right * (distance + body), forward * (distance + body)]);
+  const centreOf = ({ right, forward, distance }) => [right, forward].map((part) => part * (distance + body));
+  const centres = bodiesIn(world, observation).map(centreOf);
   const worths = ways.map(([places, , worth]) => {
     const clear = places.flatMap(([x, y], nth) => centres.map(([cx, cy]) => {
       const apart = Math.sqrt((x - cx) ** 2 + (y - cy) ** 2);
@@ -123,15 +123,15 @@ function vfh(world, observation, needs) {
   const densities = near.map(
     (echo) => Math.max(along(echo, angle), 0) * (1 - (echo.distance - world.drone_radius) / window),
   );
-  const pace = (world.n_distances - 1) * (1 - Math.max(0, ...densities)) * Math.max(0, 1 - Math.abs(wanted) / aside);
-  return encode(world, [angle, Math.round(pace)]);
+  const pace = (1 - Math.max(0, ...densities)) * Math.max(0, 1 - Math.abs(wanted) / aside);
+  return encode(world, [angle, Math.round((world.n_distances - 1) * pace)]);
 }
 
 /** What `reactive` does in each world: of its constants, an observation, and the `needs` of that world. */
 const REACTIONS = { drone: reactive, slalom: reactive, moving: dodge, goal: towardsGoal };
 const REACTIVE = "reactive";
 
-/** Every scripted policy: of a world's name, its task, an observation and uniform random numbers, an action. */
+/** Every scripted policy: an action, of a world's name, its task, an observation and uniform numbers. */
 const SCRIPTED = {
   [REACTIVE]: (name, { world, needs }, observation) => REACTIONS[name](world, observation, needs),
   apf: (name, { world, needs }, observation) => apf(world, observation, needs),

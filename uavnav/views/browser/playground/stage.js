@@ -1,12 +1,12 @@
 /*
- * The arena as one touches it: drawing it, steering by pointer, and obstacles drawn, moved and sized by pointer.
+ * The arena as one touches it: steering by pointer, and obstacles drawn, moved and sized by pointer.
  */
 
 const EDGE = 14; // [px] from a circle's edge within which a drag changes its size
 const ARRIVED = 15; // [px] from the pointer a drone stops
 const SLOW_DOWN = 45; // [degrees] from the way to the pointer above which a drone turns before it flies
 
-/** The turn [degrees] and distance [px] that bring a drone nearer to a point: at most 5 degrees left, 4 right, 9 px. */
+/** The turn [degrees] and distance [px] of the action that brings a drone nearer to a point. */
 function towards(world, { x, y, heading }, [toX, toY]) {
   const [dx, dy] = [toX - x, toY - y];
   const away = Math.hypot(dx, dy);
@@ -17,7 +17,7 @@ function towards(world, { x, y, heading }, [toX, toY]) {
   return [clamp(turn, ...furthestTurns(world)), pixels];
 }
 
-/** A drawn circle of the world's sizes and within it; undefined where it covers a place [x, y, room] that must stay free. */
+/** A circle of the world's sizes, within it; undefined where it covers a place [x, y, room] in `free`. */
 function allowed(world, [x, y, radius], free) {
   const size = clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max);
   const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height), size];
@@ -34,7 +34,9 @@ class Stage {
     this.target = null; // [x, y] px where a held pointer is
     this.held = null; // what a drag of the selected circle does
     this.touched = false; // by a finger or a pen, whose long press asks for a menu
-    const listen = (name, act) => this.canvas.addEventListener(name, (event) => act.call(this, event, this.at(event)));
+    const listen = (name, act) => {
+      this.canvas.addEventListener(name, (event) => act.call(this, event, this.at(event)));
+    };
     const point = (name, act) => listen(name, (event, at) => event.isPrimary && act.call(this, event, at));
     point("pointerdown", this.press);
     point("pointermove", this.drag);
@@ -55,7 +57,8 @@ class Stage {
     this.canvas.setPointerCapture(event.pointerId);
     if (this.drawing) this.grasp(point);
     else {
-      const near = this.app.race.piloted.find(({ state }) => Math.hypot(state.x - point[0], state.y - point[1]) < 30);
+      const isNear = ({ state: { x, y } }) => Math.hypot(x - point[0], y - point[1]) < 30;
+      const near = this.app.race.piloted.find(isNear);
       if (near) this.app.focusOn(near.place + 1);
       if (near && near.pilot !== YOU) return;
       this.target = point;
@@ -104,19 +107,20 @@ class Stage {
     this.app.remove();
   }
 
-  /** Draw the moment so much of the way [0 to 1] from each drone's last pose to its pose. focus: place of a drone. */
+  /** Draw the moment so much of the way [0 to 1] from the last poses to these. focus: place of a drone. */
   draw(share, focus) {
     const { race, world, pilots } = this.app;
-    const shown = race.piloted.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
+    const inFocus = ({ place }) => place === focus;
+    const shown = race.piloted.sort((one, other) => inFocus(one) - inFocus(other)); // that one above all
     const drones = shown.map((drone) => {
-      const { place } = drone;
+      const { place, state: { x, y, heading } } = drone;
       const pose = race.poseAt(drone, drone.ended ? 1 : share);
       const seen = !drone.ended && (place === focus || (drone.pilot === YOU && race.begun));
-      const { x, y, heading } = drone.state;
+      const slots = seen ? slotsOf(world, drone.observation) : [];
       return {
         pose,
         trail: [...drone.trail, [pose.x, pose.y]],
-        sensed: seen ? sensedPoints(world, [x, y], planeAxes(radians(heading)), slotsOf(world, drone.observation)) : [],
+        sensed: sensedPoints(world, [x, y], planeAxes(radians(heading)), slots),
         crashed: drone.ended === "collision",
         sign: String(place + 1),
         accent: pilots[place],

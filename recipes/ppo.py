@@ -24,7 +24,6 @@ from uavnav.algorithms.ppo import (
     clip_bound,
     diagnostics,
     estimate,
-    make_advantage,
     make_networks,
 )
 from uavnav.algorithms.rollout import minibatches
@@ -47,9 +46,8 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     policy, value = make_networks(config)
     actor = Actor(policy, config.seeds, "categorical", "direct", session.compile)
 
-    # loss: equations (2) and (4) on advantages by equation (3)
+    # loss: equations (2) and (4)
     loss = PPOLoss(policy, value, config).to(config.device)
-    advantage = make_advantage(config.gamma, config.gae_lambda)
 
     # update: Adam on each seed's own gradient, whose norm is clipped
     adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
@@ -60,7 +58,7 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     networks, parts = {"policy": policy, "value": value}, {"minibatches": orders, "learner": learner}
     with session.open(env, actor, networks, parts):
         for _, batch in session.batches():
-            estimate(batch, policy, value, advantage)
+            estimate(batch, policy, value, config)  # advantages by equation (3)
             epochs = [
                 learner.learn(minibatches(batch, orders, config.minibatch_size, LEARNED))
                 for _ in range(config.epochs)

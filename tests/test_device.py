@@ -101,7 +101,7 @@ def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
     loss = ppo.PPOLoss(policy, value, config).to("meta")
     batch = collected(env, Actor(policy, config.seeds, ppo.HOW.acts, ppo.HOW.head, compile=False), 8)
     assert batch.shape == (2, config.n_envs, 8)
-    ppo.estimate(batch, policy, value, ppo.make_advantage(config.gamma, config.gae_lambda))
+    ppo.estimate(batch, policy, value, config)
     minibatches = rollout.minibatches(batch, Streams(config.seeds, "minibatches"), 64, ppo.LEARNED)
     losses = ppo.make_learner(loss, config, compile=False).learn(minibatches)
     moved = ppo.diagnostics(batch, policy, config.clip_epsilon)

@@ -11,10 +11,11 @@ from tensordict.nn import TensorDictModule
 from torch.distributions import Categorical
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, PPOLoss
+from torchrl.objectives.value import GAE
 
 import uavnav
 from uavnav.algorithms import ppo as algorithm
-from uavnav.algorithms.ppo import PPOConfig, estimate, make_advantage, make_networks, train
+from uavnav.algorithms.ppo import PPOConfig, estimate, estimate_advantages, make_networks, train
 from uavnav.algorithms.rollout import minibatches
 from uavnav.tasks.seeding import Streams
 from uavnav.training.recorder import Interrupted
@@ -38,7 +39,7 @@ def gae(rewards, values, terminated, truncated, gamma=0.9, lmbda=0.8):
         },
         [1, 1, steps],
     )
-    make_advantage(gamma, lmbda)(batch)
+    estimate_advantages(batch, gamma, lmbda)
     torch.testing.assert_close(batch["value_target"], batch["advantage"] + batch["state_value"])
     return batch["advantage"].flatten().tolist()
 
@@ -66,13 +67,29 @@ def test_a_truncation_bootstraps_the_value_and_cuts_the_sum():
     assert abs(got[1] - taken_for_a_collision[1]) > 5  # the negative control: 0.9 x V(s') = 5.4
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 64), (3, 2, 16)])
+def test_advantages_and_targets_are_torchrls_own_bit_for_bit(shape):
+    generator = torch.Generator().manual_seed(0)
+    reward, value, after = torch.randn(3, *shape, 1, generator=generator)
+    terminated, truncated = torch.rand(2, *shape, 1, generator=generator) < 0.1
+    following = {"reward": reward, "state_value": after, "terminated": terminated}
+    following["done"] = terminated | truncated
+    ours = TensorDict({"state_value": value, "next": following}, shape)
+    torchrls = ours.clone()
+    estimate_advantages(ours, 0.99, 0.95)
+    GAE(gamma=0.99, lmbda=0.95, value_network=None, vectorized=False)(torchrls)
+    assert 0 < following["done"].sum() < ours.numel()
+    for name in ("advantage", "value_target"):
+        assert torch.equal(ours[name], torchrls[name])
+
+
 def test_estimate_bootstraps_a_truncated_episode_from_its_own_last_observation():
     config = PPOConfig()
     policy, value = make_networks(config)
     env = uavnav.DroneEnv([1, 1], max_steps=3)
     batch = env.rollout(7, lambda td: td.set("action", torch.full((1, 1), 9)), break_when_any_done=False)
     assert batch["next", "truncated"].flatten().tolist() == [False, False, True] * 2 + [False]
-    estimate(batch, policy, value, make_advantage(config.gamma, config.gae_lambda))
+    estimate(batch, policy, value, config)
     v = value(batch["observation"]).flatten()
     terminal = value(batch["next", "observation"]).flatten()[2]
     torch.testing.assert_close(

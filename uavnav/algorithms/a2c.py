@@ -23,7 +23,7 @@ from torchrl.objectives import A2CLoss
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.ppo import make_advantage, make_networks
+from uavnav.algorithms.ppo import estimate_advantages, make_networks
 from uavnav.networks import Init
 from uavnav.settings import AtLeast0, Count, Share, key
 from uavnav.training.checkpoints import Stateful
@@ -115,7 +115,6 @@ class A2C:
         self.policy, self.value = make_networks(config)
         self.loss = make_loss(self.policy, self.value, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
-        self.advantage = make_advantage(config.gamma, config.gae_lambda)
         self.learner = make_learner(self.loss, config, compile)
         self.parts: Mapping[str, Stateful] = {"learner": self.learner}
 
@@ -125,7 +124,7 @@ class A2C:
         with torch.no_grad():
             self.loss.critic_network(batch)
             self.loss.critic_network(batch["next"])
-            self.advantage(batch)
+        estimate_advantages(batch, config.gamma, config.gae_lambda)
         needed = batch.select("observation", "action", "advantage", "value_target").flatten(1, 2)
         losses = self.learner.learn(needed[:, None])
         if (

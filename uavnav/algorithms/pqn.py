@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.dqn import ExploringConfig
-from uavnav.algorithms.ppo import make_advantage
+from uavnav.algorithms.ppo import estimate_advantages
 from uavnav.algorithms.rollout import RolloutConfig, learn_in_epochs
 from uavnav.settings import AtLeast0, Share, Whole, key
 from uavnav.tasks.seeding import Streams
@@ -104,8 +104,6 @@ class PQN:
         self.network = config.network("value network", config.n_outputs).to(config.device)
         self.loss = PQNLoss(self.network)
         self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon)
-        # with max Q as a state's value, the advantage plus that value is G
-        self.targets = make_advantage(config.gamma, config.q_lambda)
         adam = Adam(config.lr, config.adam_eps, until=config.lr_ends_at)
         self.learner = Learner(self.loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile)
         self.orders = Streams(config.seeds, "minibatches")
@@ -117,7 +115,7 @@ class PQN:
         with torch.no_grad():
             for rows in (batch, batch["next"]):
                 rows["state_value"] = self.network(rows["observation"]).amax(-1, keepdim=True)
-            self.targets(batch)
+        estimate_advantages(batch, config.gamma, config.q_lambda)  # of max Q: with it, they are G
         return {
             **learn_in_epochs(batch, self.learner, self.orders, config, LEARNED),
             "q_value": batch["state_value"].flatten(1).mean(1),

@@ -74,6 +74,13 @@ class ReplayConfig(TrainConfig):
         return self.max_steps is not None
 
     @property
+    def capacity(self) -> int:
+        """Rows of the buffer. Of a run that is shorter than `buffer_size` a power of two, so that runs of
+        many lengths need one graph.
+        """
+        return min(self.buffer_size, 1 << (self.frames - 1).bit_length())
+
+    @property
     def frames_per_iteration(self) -> int:
         """From one round of gradient steps to the next, whole steps of all environments."""
         return self.n_envs * max(self.frames_per_update // self.n_envs, 1)
@@ -224,10 +231,10 @@ class Replay:
 
 
 def make_replay(config: ReplayConfig) -> Replay:
-    """The ring of a run, no larger than the run is long."""
+    """The ring of a run; rows that it is too short for take no memory."""
     return Replay(
         config.seeds,
-        min(config.buffer_size, config.frames),
+        config.capacity,
         config.n_envs,
         config.observation_size,
         config.keeps_next_observations,

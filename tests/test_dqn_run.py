@@ -258,9 +258,11 @@ def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_th
 
 
 def test_runs_of_600_and_1000_frames_have_a_ring_of_1024_rows_and_so_one_graph():
-    assert {DQNConfig(total_frames=frames).capacity for frames in (600, 1_000, 1_024)} == {1_024}
-    assert DQNConfig(total_frames=1_028).capacity == 2_048
-    assert [DQNConfig(buffer_size=size).capacity for size in (50_000, 10**6, 10**7)] == [50_000, 10**6, 2**20]
+    def rows(frames, **settings):
+        return len(make_replay(DQNConfig(total_frames=frames, **settings)).storage.ring)
+
+    assert [rows(frames) for frames in (600, 1_000, 1_024, 1_028)] == [1_024, 1_024, 1_024, 2_048]
+    assert [rows(1_000, buffer_size=size) for size in (400, 1_000, 10**6)] == [400, 1_000, 1_024]
 
 
 def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):

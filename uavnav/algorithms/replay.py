@@ -50,9 +50,9 @@ class ReplayConfig(TrainConfig):
 
     def check_machine(self) -> None:
         super().check_machine()
-        capacity = min(self.buffer_size, self.frames)
+        filled = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1
-        needed = 4 * self.n_seeds * capacity * (observations * self.observation_size + OTHERS)
+        needed = 4 * self.n_seeds * filled * (observations * self.observation_size + OTHERS)
         named = f"buffer_size={self.buffer_size}, n_seeds={self.n_seeds}: the buffer"
         self.check_memory(named, needed, "a smaller buffer_size or fewer seeds")
         named = f"batch_size={self.batch_size}, n_seeds={self.n_seeds}: the observations of a batch"
@@ -75,8 +75,8 @@ class ReplayConfig(TrainConfig):
 
     @property
     def capacity(self) -> int:
-        """Rows of the buffer. Of a run that is shorter than `buffer_size` a power of two, so that runs of
-        many lengths need one graph.
+        """Rows of the ring: for a run that is shorter than `buffer_size` a power of two, so that runs of many
+        lengths share a compiled graph.
         """
         return min(self.buffer_size, 1 << (self.frames - 1).bit_length())
 
@@ -231,7 +231,7 @@ class Replay:
 
 
 def make_replay(config: ReplayConfig) -> Replay:
-    """The ring of a run; rows that it is too short for take no memory."""
+    """The ring of a run. On a CPU, rows that are never written take no memory."""
     return Replay(
         config.seeds,
         config.capacity,

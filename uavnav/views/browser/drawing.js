@@ -188,8 +188,8 @@ function drawSensor(context, world, { x, y, angle }, colours) {
   context.globalAlpha = 1;
 }
 
-/** The place [x, y] so far from another in a direction [radians]. */
-function alongside([x, y], angle, distance) {
+/** The point [x, y] at a distance from another one, in a direction [radians]. */
+function pointAt([x, y], angle, distance) {
   return [x + distance * Math.cos(angle), y + distance * Math.sin(angle)];
 }
 
@@ -198,7 +198,7 @@ function alongside([x, y], angle, distance) {
  * after a collision a faint disc and a cross.
  */
 function drawDrone(context, world, { x, y, angle, reach = 1 }, crashed, thick, colours) {
-  const to = (degrees, share) => alongside([x, y], angle + radians(degrees), share * world.drone_radius);
+  const to = (degrees, share) => pointAt([x, y], angle + radians(degrees), share * world.drone_radius);
   context.globalAlpha = crashed ? 0.35 : 1;
   disc(context, x, y, world.drone_radius, colours.accent);
   context.globalAlpha = 1;
@@ -225,7 +225,7 @@ function drawFading(context, trail, width, colour) {
 function drawSign(context, world, { x, y, angle }, sign, colours) {
   ring(context, x, y, world.drone_radius, 2, colours.fg);
   context.save();
-  context.translate(...alongside([x, y], angle, -0.42 * world.drone_radius));
+  context.translate(...pointAt([x, y], angle, -0.42 * world.drone_radius));
   context.scale(1, -1);
   context.fillStyle = colours.ink;
   context.font = `700 ${0.8 * world.drone_radius}px system-ui, sans-serif`;

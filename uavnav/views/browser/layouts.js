@@ -19,7 +19,10 @@ function toEdge([atX, atY], [x, y, radius]) {
   return Math.hypot(x - atX, y - atY) - radius;
 }
 
-/** k circles of uniform radius and centre, drawn again until the start is free: sec. 4.1. */
+/**
+ * k circles of uniform radius and centre, drawn again until the start is free: sec. 4.1. Of one seed, more
+ * circles begin with the same ones.
+ */
 function generate(world, k, seed) {
   const draw = randomNumbers(seed);
   const start = [world.width / 2, world.height / 2];
@@ -83,7 +86,7 @@ function roomAt({ width, height, border }, circles, x, y) {
 
 const LAYOUTS_TRIED = 20; // without a goal, before a circle is left out
 
-/** { circles, goal }, where the goal can be reached. It is uniform where there is room: goal.py. */
+/** Circles and a goal that can be reached, uniform where there is room: { circles, goal }, as goal.py. */
 function generateGoal(world, needs, k, seed) {
   const { room, far, tries, grid } = needs;
   const draw = randomNumbers(seed ^ 0x2c1b3c6d);

@@ -80,9 +80,11 @@ function direction([dx, dy, length], heading) {
 
 /**
  * The ten nearest obstacles in view, eqs (9), (10) and (13), nearest first, ties in index order; and the
- * clearance: the distance [px] to the nearest of all, in view or not. -> { observation, clearance }
+ * clearance: the distance [px] to the nearest of all, in view or not.
+ * -> { observation: Float32Array(30), clearance }
  *
- * echoes: what faults make of a filled slot, of its place and distance [px]: a distance, undefined if lost.
+ * echoes: what faults make of a filled slot, of its place and distance [px]: a distance, or
+ * undefined if it is lost.
  */
 function sense(world, { x, y, heading }, circles, echoes = (slot, distance) => distance) {
   const around = circles.map(([cx, cy, radius]) => [f32(cx - x), f32(cy - y), radius]);
@@ -147,7 +149,7 @@ function wayOf(world, observation, scale) {
 
 const NO_FAULTS = { noise: 0, lost: 0, late: 0, sticky: 0 }; // [px], probability, [steps], probability
 
-/** How many random numbers a step needs: normal of noise, uniform of lost echoes and of sticky actions. */
+/** How many random numbers a step needs: normal ones for noise, uniform ones for lost echoes and sticking. */
 function drawsOf(world, { noise, lost, sticky }) {
   return [noise > 0 ? world.n_slots : 0, lost > 0 ? world.n_slots : 0, Number(sticky > 0)];
 }
@@ -216,7 +218,7 @@ class Task {
     return this.remember({ x: width / 2, y: height / 2, heading: 90, ...counts }, layout, draws);
   }
 
-  /** The same state where only what is there now was ever sensed, if there are faults; the action stays. */
+  /** The same state where only what is there now was ever sensed, if there are faults. */
   remember(state, layout, draws) {
     if (!this.remembers) return state;
     const seen = Array(this.faults.late + 1).fill(this.sense(state, layout, draws).observation);
@@ -235,7 +237,10 @@ class Task {
     return { observation: this.remembers ? state.seen.at(-1) : observation, clearance };
   }
 
-  /** Move, sense, judge. -> { state, observation, clearance, ended }: "", "collision", "goal", "time-out". */
+  /**
+   * Move, sense, then judge.
+   * -> { state, observation, clearance, ended: "", "collision", "goal" or "time-out" }
+   */
   step(state, action, layout, draws) {
     const sticks = this.faults.sticky && state.steps > 0 && draws.at(-1) < this.faults.sticky;
     const executed = sticks ? state.executed : action;

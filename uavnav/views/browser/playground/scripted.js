@@ -131,7 +131,7 @@ function vfh(world, observation, needs) {
 const REACTIONS = { drone: reactive, slalom: reactive, moving: dodge, goal: towardsGoal };
 const REACTIVE = "reactive";
 
-/** Every scripted policy: an action, of a world's name, its task, an observation and uniform numbers. */
+/** Every scripted policy: of a world's name, its task, an observation and random numbers, an action. */
 const SCRIPTED = {
   [REACTIVE]: (name, { world, needs }, observation) => REACTIONS[name](world, observation, needs),
   apf: (name, { world, needs }, observation) => apf(world, observation, needs),

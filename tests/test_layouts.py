@@ -201,3 +201,11 @@ def test_a_world_without_room_for_an_obstacle_or_for_a_way_to_a_goal_is_refused(
         uavnav.LayoutError, match="goal_radius=1e-09: ways are measured from place to place; give 5 px"
     ):
         goal.generate(1, 8, 0, goal.GoalWorld(goal_radius=1e-9))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_split_of_goals_that_is_refused_does_not_first_say_how_long_it_takes():
+    with pytest.raises(uavnav.LayoutError, match="goal_radius=3: ways are measured"):
+        layouts.load("train", goal.GoalWorld(goal_radius=3))
+    with pytest.raises(UserWarning, match="10,000 layouts with goals are drawn"):  # the negative control
+        layouts.load("train", goal.GoalWorld(goal_radius=30))

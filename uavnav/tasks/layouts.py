@@ -227,6 +227,7 @@ def _drawn(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     split, k = (layouts, KINDS[kind_of(world)].k) if layouts in SPLITS else _rung(layouts, world)
     n, seed = SPLITS[split]
     if isinstance(world, goal.GoalWorld) and n > SILENT_LAYOUTS:
+        _generate(layouts, 0, k, seed, world)  # what is refused is not waited for
         told = f"{n:,} layouts with goals are drawn for this world, {n / 100:.0f} s of a core"
         warnings.warn(f"layouts={layouts}: {told}", stacklevel=2)
     all_layouts = _generate(layouts, n, k, seed, world)

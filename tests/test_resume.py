@@ -274,6 +274,7 @@ def test_a_snapshot_that_is_damaged_or_not_this_runs_is_named_and_the_older_one_
     ):
         train(config, out=folder, quiet=True, until=1)  # an iteration
     assert stop.value.frames == 1024 + 64
+    assert "stopped by until=1 and saved at 1,088 of " in str(stop.value)
     said = str(warned[0].message)
     assert newest.stem[-7:] in said  # a long path is shortened
     assert ("its checksum does not match" in said) == (kind in DAMAGE)

@@ -416,8 +416,9 @@ class Recorder:
     def interrupted(self, frames: int, wanted: bool) -> Interrupted:
         """What to raise when the run was saved after so many frames per seed; wanted: by `until`."""
         number = self.stop or signal.SIGTERM
+        why = f"until={self.until}" if wanted else signal.Signals(number).name
         return Interrupted(
-            f"{self.path}: stopped by {signal.Signals(number).name} and saved at {frames:,} of"
+            f"{self.path}: stopped by {why} and saved at {frames:,} of"
             f" {self.config.total_frames:,} frames; the same command goes on from there",
             number,
             frames,

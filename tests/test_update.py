@@ -12,7 +12,8 @@ from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
 from uavnav import graph
-from uavnav.training.update import Adam, Learner, RMSprop
+from uavnav.training import update
+from uavnav.training.update import ALIGNED, Adam, Learner, RMSprop, flattened, unflattened
 
 
 class Losses(nn.Module):
@@ -38,6 +39,30 @@ def rows(*shape):
 def learner(loss, max_grad_norm=1.0, compile=False, optimiser=Adam(0.1, 1e-5), tau=0.0):  # noqa: B008
     names = ["squared", "absolute"]
     return Learner(loss, names, optimiser, max_grad_norm=max_grad_norm, compile=compile, tau=tau)
+
+
+@pytest.mark.parametrize("agents", [1, 3])
+def test_flat_each_agent_has_a_row_each_tensor_begins_at_a_multiple_of_16_and_comes_back_as_a_view(agents):
+    shapes = {"weight": (agents, 3, 7), "bias": (agents, 1, 16), "alpha": (agents,)}
+    tensors = TensorDict({name: torch.rand(shape) for name, shape in shapes.items()}, [agents])
+    flat = flattened([*tensors.values()])
+    assert flat.shape == (agents, 32 + 16 + 16)
+    back = unflattened(flat, tensors)
+    assert (back == tensors).all()
+    assert [*back.keys()] == [*shapes]
+    for value in back.values():
+        assert value.untyped_storage().data_ptr() == flat.data_ptr()
+        assert value.storage_offset() % ALIGNED == 0
+    last = unflattened(flat[-1:], tensors)  # as agents that learn in turn have it
+    assert (last == tensors[-1:]).all()
+
+
+def test_the_networks_read_what_the_learner_writes_weights_and_targets():
+    mine = learner(Following(2), tau=0.2)
+    mine.learn(rows(2, 5, 8))
+    for name, flat in {"weight": "params", "target_weight": "targets"}.items():
+        assert torch.equal(getattr(mine.loss, name), mine.flat[flat][:, :3])
+    assert not torch.equal(mine.loss.weight, Following(2).weight)
 
 
 OPTIMISERS = {
@@ -104,6 +129,46 @@ class Following(Losses):
         found = super().forward(batch)
         away = (self.weight - self.target_weight).square().sum(-1)
         return found | {"absolute": found["absolute"] + away[:, None]}
+
+
+class Two(Following):
+    """And another weight, of another shape."""
+
+    def __init__(self, agents):
+        super().__init__(agents)
+        self.shift = nn.Parameter(torch.arange(1.0, 2 * agents + 1).reshape(agents, 1, 2))
+
+    def forward(self, batch):
+        found = super().forward(batch)
+        decay = sum(one.square().flatten(1).sum(1) for one in self.parameters() if one.requires_grad)
+        return found | {
+            "absolute": found["absolute"] * self.shift[..., 0] + self.shift[..., 1] + decay[:, None]
+        }
+
+
+@pytest.mark.parametrize("compile", [False, pytest.param(True, marks=pytest.mark.compiled)])
+@pytest.mark.parametrize("kind", ["adam", "rmsprop"])
+def test_a_step_for_the_whole_row_is_one_step_a_tensor_also_of_agents_in_turn(kind, compile, monkeypatch):
+    found = []
+    for few, large in ((2**16, 2**20), (0, 2**20), (0, 1)):
+        monkeypatch.setattr(update, "FEW", few)
+        monkeypatch.setattr(update, "LARGE", large)
+        mine = learner(Two(2), optimiser=OPTIMISERS[kind][0], tau=0.2, compile=compile)
+        mine.learn(rows(2, 5, 8))
+        found.append(mine.flat)
+    for other in found[1:]:
+        torch.testing.assert_close(
+            found[0], other, rtol=1e-5 * compile, atol=1e-6 * compile
+        )  # eager: the bits
+    assert not torch.equal(found[0]["params"], learner(Two(2)).flat["params"])
+
+
+@pytest.mark.compiled
+def test_compiled_a_loss_that_reads_its_parameters_has_the_updates_of_the_eager_one():
+    eager, compiled = (learner(Two(2), tau=0.2, compile=compile) for compile in (False, True))
+    for each in (eager, compiled):
+        each.learn(rows(2, 5, 8))
+    torch.testing.assert_close(eager.flat["params"], compiled.flat["params"])
 
 
 @pytest.mark.parametrize("kind", list(OPTIMISERS))
@@ -177,15 +242,16 @@ def written():
     for _ in range(50):
         torch.ones(1_600_000)
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-for weights in (0, 6_400_000):
-    machine.keep_memory_flat(weights)
+for sizes in ((0, 0), (6_400_000, 0), (0, 6_400_000)):
+    machine.keep_memory_flat(*sizes)
     written()
     print(written())
+    machine.keep_memory_flat()
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are counted as Linux counts them")
-def test_a_block_as_large_as_a_layers_weights_is_used_again_and_without_such_weights_goes_back():
+def test_a_block_as_large_as_the_weights_is_used_again_and_without_such_weights_goes_back():
     found = subprocess.run([sys.executable, "-c", PAGES], capture_output=True, text=True, check=True)
-    without, with_weights = map(int, found.stdout.split())
-    assert without >= 50 > with_weights
+    without, with_layer, with_weights = map(int, found.stdout.split())
+    assert without >= 50 > max(with_layer, with_weights)

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Sequence
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from uavnav import graph
@@ -20,7 +20,7 @@ from uavnav.algorithms.replay import Replay, ReplayConfig
 from uavnav.envs.env import DroneEnv
 from uavnav.errors import telling_line
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.update import Learner
+from uavnav.training.update import Learner, unflattened
 
 ROUNDS = 25
 """Rounds in one graph. 25 divides 1,250, the rounds between two rows of progress in one environment."""
@@ -132,7 +132,7 @@ class Rounds:
         constants: the environment's; the ring; what else an update is given.
         """
         n_now, n_drawn, n_known = len(env.tensors), len(inputs) - 4, len(env.constants)
-        weights = [_place(weight, state) for weight in self.actor.weights]
+        weights = [_name(weight, self.learner.params) for weight in self.actor.weights]
         *drawn, rates, _, places, fresh = (one[0] for one in inputs)
         ring, *kept = constants[n_known:]
         acting = [*state[:n_now], *drawn, *env.constants, *self.actor.weights]
@@ -144,7 +144,9 @@ class Rounds:
         def one_round(*tensors: Tensor) -> Sequence[Tensor]:
             now, learned, (rows,), drawn, others, known, (ring,), kept, more = graph.parts(tensors, *numbers)
             rates, where, places, fresh = others
-            found = steps(*now, *drawn, *known, *(tensors[place] for place in weights), *more)
+            named = unflattened(learned[0], self.learner.params)
+            acting = [named[name].clone() for name in weights]  # a scan takes no two views of one tensor
+            found = steps(*now, *drawn, *known, *acting, *more)
             rows = rows.index_copy(0, where, self.replay.rows(env.batch(found[n_now:])))
             _, *learned = updates(rates, *learned, *kept, ring, rows, places, fresh)
             return *found[:n_now], *learned, rows, *found[n_now:]
@@ -152,6 +154,6 @@ class Rounds:
         return graph.Scan(one_round, len(state), len(inputs), strict=True, cpp_wrapper=True), closed_over
 
 
-def _place(weight: Tensor, tensors: Sequence[Tensor]) -> int:
-    """The index of the tensor that shares a weight's memory."""
-    return next(n for n, one in enumerate(tensors) if one.data_ptr() == weight.data_ptr())
+def _name(weight: Tensor, params: TensorDictBase) -> str:
+    """The name of a weight among all."""
+    return next(str(name) for name, one in params.items() if one is weight)

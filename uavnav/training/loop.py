@@ -95,7 +95,8 @@ class Session:
     ) -> Iterator[None]:
         """Begin or go on with the run: from here on, its folder exists. Arguments as of `Trainee`."""
         weights.check(networks, self.config)
-        machine.keep_memory_flat(max(one.nbytes for net in networks.values() for one in net.parameters()))
+        sizes = [one.nbytes for net in networks.values() for one in net.parameters()]
+        machine.keep_memory_flat(max(sizes), sum(sizes))
         self.env, self.actor, self.networks, self.replay = env, actor, networks, replay
         self.parts: Mapping[str, Stateful] = {"env": env, "actions": actor, **parts}
         self._poses = probes.poses(self.config.make_task()).to(self.config.device)

@@ -134,21 +134,21 @@ def _do(work: Callable[[], Result], said: Connection) -> None:
         said.send(work())
 
 
-def keep_memory_flat(weights: int = 0) -> None:
+def keep_memory_flat(layer: int = 0, weights: int = 0) -> None:
     """Let this process return large blocks to the system when they are freed.
 
     glibc raises the size from which it does so up to 32 MB by itself: rollouts are then on a heap among small
-    things that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Blocks as large
-    as a layer's weights [bytes], and as its outputs for a batch of a few hundred, stay if the weights are
-    larger still: each update has such blocks, and new pages would take half of its time. Other C libraries
-    are left as they are.
+    things that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Each update has
+    blocks as large as all `weights` of a network [bytes], and new pages would take half of its time: they
+    stay. So do the outputs of a `layer` whose weights alone exceed a megabyte, for a batch of a few hundred.
+    Other C libraries are left as they are.
     """
+    kept = max(8 * layer * (layer > MAPPED_FROM), 2 * weights * (weights > MAPPED_FROM))
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
-        large = weights > MAPPED_FROM
-        if large:
+        if kept:
             libc.mallopt(M_TRIM_THRESHOLD, KEPT)
-        libc.mallopt(M_MMAP_THRESHOLD, min(8 * weights, MAPPED_AT_MOST) if large else MAPPED_FROM)
+        libc.mallopt(M_MMAP_THRESHOLD, min(kept, MAPPED_AT_MOST) if kept else MAPPED_FROM)
 
 
 @contextlib.contextmanager

@@ -2,9 +2,10 @@
 optimiser's step.
 
 Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each
-one's own loss; optimisers are elementwise; only the norm must be taken per agent. A step is a pure function
-of TensorDicts, so that many of them fit into one graph. Letters: A agents, the leading axis of every
-parameter and target; M minibatches of N rows.
+one's own loss; optimisers are elementwise; only the norm must be taken per agent. A step is a pure function,
+so that many of them fit into one graph. All weights of an agent lie in one row, its moments and targets too,
+because a graph pays for each tensor that it carries. Letters: A agents, the leading axis of every parameter
+and target; P numbers in a row; M minibatches of N rows.
 """
 
 from __future__ import annotations
@@ -16,12 +17,16 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
+from torch.nn import functional as F
 
-from uavnav.graph import Loop
+from uavnav.graph import Loop, parts
 
 BETA1, BETA2 = 0.9, 0.999  # Adam's, as everywhere
 ALPHA = 0.99  # RMSprop's, PyTorch's and Stable-Baselines3's default
 AHEAD = 1_024  # steps whose rates are worked out at once
+ALIGNED = 16  # numbers: 64 bytes, as PyTorch aligns memory, so that products have the same bits
+FEW = 2**16
+"""Weights in a call up to which one step for all of them is worth a copy of their gradient."""
 LARGE = 2**20
 """Bytes of an agent's weights, moments and targets, from which agents learn in turn on a CPU.
 
@@ -54,14 +59,13 @@ class Adam(NamedTuple):
         lr = falling(self.lr, step, self.until)
         return torch.stack([lr * correction / (1 - BETA1**step), self.eps * correction], -1)
 
-    def step(
-        self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase
-    ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
+    def step(self, rate: Tensor, params: Tensor, gradient: Tensor, *moments: Tensor) -> tuple[Tensor, ...]:
+        """Parameters, their gradient and its moments -> the next parameters and moments."""
         lr, eps = rate.unbind()
-        first = moments["first"].apply(lambda m, g: torch.lerp(m, g, 1 - BETA1), gradient)
-        second = moments["second"].apply(lambda v, g: v * BETA2 + (1 - BETA2) * g * g, gradient)
-        params = params.apply(lambda value, m, v: value - lr * m / (v.sqrt() + eps), first, second)
-        return params, {"first": first, "second": second}
+        first, second = moments
+        first = torch.lerp(first, gradient, 1 - BETA1)
+        second = second * BETA2 + (1 - BETA2) * gradient * gradient
+        return params - lr * first / (second.sqrt() + eps), first, second
 
 
 class RMSprop(NamedTuple):
@@ -76,14 +80,34 @@ class RMSprop(NamedTuple):
         """step [M] float64 -> what `step` is given of each, [M, 1]."""
         return falling(self.lr, step, self.until)[:, None]
 
-    def step(
-        self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase
-    ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
-        square = moments["square"].apply(lambda v, g: v * ALPHA + (1 - ALPHA) * g * g, gradient)
-        params = params.apply(
-            lambda value, g, v: value - rate[0] * g / (v.sqrt() + self.eps), gradient, square
-        )
-        return params, {"square": square}
+    def step(self, rate: Tensor, params: Tensor, gradient: Tensor, square: Tensor) -> tuple[Tensor, ...]:
+        """Parameters, their gradient and its mean square -> the next parameters and mean square."""
+        square = square * ALPHA + (1 - ALPHA) * gradient * gradient
+        return params - rate[0] * gradient / (square.sqrt() + self.eps), square
+
+
+def flattened(values: Sequence[Tensor]) -> Tensor:
+    """[A, ...] each -> [A, P]: a row of numbers an agent, each tensor from a multiple of `ALIGNED` on."""
+    rows = [value.reshape(len(value), -1) for value in values]
+    return torch.cat([F.pad(row, (0, -row.shape[1] % ALIGNED)) for row in rows], 1)
+
+
+def unflattened(flat: Tensor, like: TensorDictBase) -> TensorDict:
+    """The tensors of such rows, as views, with the names of `like` and its shapes of an agent."""
+    shapes = {name: value.shape[1:] for name, value in like.items()}
+    rooms = [shape.numel() + -shape.numel() % ALIGNED for shape in shapes.values()]
+    pieces = zip(shapes.items(), flat.split_with_sizes(rooms, 1), strict=True)
+    views = {name: piece[:, : shape.numel()].view(len(flat), *shape) for (name, shape), piece in pieces}
+    return TensorDict(views, flat.shape[:1])
+
+
+@torch.no_grad()
+def in_one(values: TensorDictBase) -> Tensor:
+    """Move these tensors into one, [A, P], of which they become views."""
+    flat = flattened([*values.values()])
+    for value, view in zip(values.values(), unflattened(flat, values).values(), strict=True):
+        value.data = view
+    return flat
 
 
 class Learner:
@@ -91,6 +115,7 @@ class Learner:
 
     Args:
         loss: a batch [A, N] -> losses [A, N] by name, of networks whose parameters lead with the agent axis.
+            They become views of one tensor: move networks to a device or type before.
             As in TorchRL, the target of a parameter has its name with `target_` in front, and needs no
             gradient.
         losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
@@ -127,13 +152,12 @@ class Learner:
         targets = {name: value for name, value in others.items() if name.removeprefix("target_") in params}
         self.constants = TensorDict({name: value for name, value in others.items() if name not in targets})
         agents = [len(next(iter(params.values())))]
-        self.params = TensorDict(params, agents)
-        zeros = {
-            name: self.params.apply(lambda value: torch.zeros_like(value.detach()))
-            for name in optimiser.moments
-        }
-        followers = {"targets": targets} if targets else {}
-        self.state = TensorDict({"params": self.params, "moments": zeros, **followers}, agents)
+        self.params, self.targets = TensorDict(params, agents), TensorDict(targets, agents)
+        self.flat = {"params": in_one(self.params)}  # then moments, then targets
+        for name in optimiser.moments:
+            self.flat[name] = torch.zeros_like(self.flat["params"])
+        if targets:
+            self.flat["targets"] = in_one(self.targets)
         self.steps = 0
         self._ahead = 0, torch.empty(0)  # steps that were done, and the rates of those that follow
         self._run: Callable[[TensorDictBase], Tensor] | None = None  # compiled at the first call
@@ -152,32 +176,48 @@ class Learner:
     def step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """One update of every agent from a minibatch [A, N]; each agent's losses and gradient norm, [A]."""
         with torch.no_grad():
-            found, following = self._update(self.rates(1)[0], self.state, self.memory, batch)
-            self.state.update_(following)
+            found, following = self._update(
+                self.rates(1)[0], self.params, [*self.flat.values()], self.memory, batch
+            )
+            for value, new in zip(self.flat.values(), following, strict=False):  # targets may stay
+                value.copy_(new)
             self.steps += 1
         return dict(zip(self.names, found, strict=True))
 
     def _update(
-        self, rate: Tensor, state: TensorDictBase, memory: Sequence[Tensor], batch: TensorDictBase
-    ) -> tuple[Tensor, TensorDict]:
-        """One step: the losses and the gradient's norm [losses + 1, A], and the next state."""
-        params = state["params"]
+        self,
+        rate: Tensor,
+        params: TensorDictBase,
+        flat: Sequence[Tensor],
+        memory: Sequence[Tensor],
+        batch: TensorDictBase,
+    ) -> tuple[Tensor, Sequence[Tensor]]:
+        """One step: the losses and the gradient's norm [losses + 1, A], and what follows on `flat`."""
         with torch.enable_grad():
             found = self.loss(self.read(batch, *memory))  # DQNLoss writes its errors into what it is given
             losses = torch.stack([found[name].flatten(1).mean(1) for name in self.names[:-1]])
-            parts = torch.autograd.grad(losses.sum(), list(params.values()))
-        norm = torch.stack([part.flatten(1).square().sum(1) for part in parts]).sum(0).sqrt()
+            gradients = torch.autograd.grad(losses.sum(), list(params.values()))
+        norm = torch.stack([one.flatten(1).square().sum(1) for one in gradients]).sum(0).sqrt()
         scale = (self.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)  # as torch.nn.utils.clip_grad_norm_
-        clipped = [part * scale.reshape(-1, *[1] * (part.ndim - 1)) for part in parts]
-        gradient = TensorDict(dict(zip(params.keys(), clipped, strict=True)), params.shape)
-        params, moments = self.optimiser.step(rate, params, gradient, state["moments"])
-        following = {"params": params, "moments": moments}
+        clipped = [one * scale.reshape(-1, *[1] * (one.ndim - 1)) for one in gradients]
+        n = 1 + len(self.optimiser.moments)
+        if flat[0].numel() <= FEW:
+            following = [*self.optimiser.step(rate, flat[0], flattened(clipped), *flat[1:n])]
+        else:
+            values = (unflattened(each, params).values() for each in flat[:n])
+            after = [
+                self.optimiser.step(rate, value, gradient, *moments)
+                for gradient, value, *moments in zip(clipped, *values, strict=True)
+            ]
+            following = [flattened(each) for each in zip(*after, strict=True)]
         if self.tau:
-            following["targets"] = {
-                name: target.lerp(params[name.removeprefix("target_")], self.tau)
-                for name, target in state["targets"].items()
-            }
-        return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
+            weights, targets = unflattened(following[0], params), unflattened(flat[-1], self.targets)
+            towards = [
+                target.lerp(weights[name.removeprefix("target_")], self.tau)
+                for name, target in targets.items()
+            ]
+            following.append(flattened(towards))
+        return torch.cat([losses.detach(), norm[None]]), following
 
     def rates(self, n: int) -> Tensor:
         """What the optimiser needs of the next n steps [n, rates], worked out for many steps at once."""
@@ -192,13 +232,12 @@ class Learner:
     @property
     def tensors(self) -> list[Tensor]:
         """What an update is given besides its rate, memory and minibatch; first what it changes."""
-        return [*self.state.values(True, True), *self.constants.values()]
+        return [*self.flat.values(), *self.constants.values()]
 
     @property
     def n_changed(self) -> int:
         """How many of `tensors` an update changes: weights and moments, and targets that follow softly."""
-        kept = len(self.constants.keys()) + (0 if self.tau else len(self.state.get("targets", {}).keys()))
-        return len(self.tensors) - kept
+        return 1 + len(self.optimiser.moments) + bool(self.tau)
 
     @property
     def on_cpu(self) -> bool:
@@ -211,21 +250,26 @@ class Learner:
 
     def loop(self, keys: Sequence[str], n_memory: int) -> Loop:
         """Updates from minibatches with these keys, as one graph however many they are."""
-        names = list(TensorDict({**self.state, "constants": self.constants}).keys(True, True))
+        n_constants = len(self.constants.keys())
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
-            given = TensorDict(dict(zip(names, tensors[: len(names)], strict=True)))
-            memory, leaves = tensors[len(names) :][:n_memory], tensors[len(names) + n_memory :]
+            flat, constants, memory, leaves = parts(tensors, len(self.flat), n_constants, n_memory)
             batch = TensorDict(dict(zip(keys, leaves, strict=True)), leaves[-1].shape[:2])
-            given["params"] = given["params"].apply(lambda value: value.detach().requires_grad_())
-            tensors_of_loss = {**given["params"], **given.get("targets", {}), **given.get("constants", {})}
-            with TensorDict(tensors_of_loss).unflatten_keys(".").to_module(self.loss):
-                found, following = self._update(rate, given, memory, batch)
-            return found, *following.values(True, True)
+            params = unflattened(flat[0], self.params).apply(lambda value: value.detach().requires_grad_())
+            others = dict(zip(self.constants.keys(), constants, strict=True))
+            if "targets" in self.flat:
+                others |= unflattened(flat[-1], self.targets)
+            others = TensorDict(others).unflatten_keys(".")
+            with (
+                TensorDict({**params}).unflatten_keys(".").to_module(self.loss),
+                others.to_module(self.loss, preserve_module_state=False),  # a new Parameter is not traced
+            ):
+                found, following = self._update(rate, params, flat, memory, batch)
+            return found, *following
 
         # elsewhere the wrapper needs that device's own headers
-        n_constants = len(names) - self.n_changed + n_memory
-        return Loop(update, self.n_changed, n_constants, cpp_wrapper=self.on_cpu)
+        n_kept = len(self.tensors) - self.n_changed + n_memory
+        return Loop(update, self.n_changed, n_kept, cpp_wrapper=self.on_cpu)
 
     def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
         """All updates of a call as one graph, however many, of all agents at once or of each in turn."""
@@ -233,7 +277,7 @@ class Learner:
         loop, n_agents = self.loop(keys, len(self.memory)), len(self.params)
         turns = [slice(agent, agent + 1) for agent in range(n_agents)] if self.in_turn else [slice(None)]
         constants = [*self.constants.values(), *self.memory]
-        states = [[*self.state[agents].values(True, True), *constants] for agents in turns]
+        states = [[*(one[agents] for one in self.flat.values()), *constants] for agents in turns]
 
         def run(batches: TensorDictBase) -> Tensor:
             rates, leaves = self.rates(batches.shape[1]), [batches[key] for key in keys]
@@ -244,6 +288,13 @@ class Learner:
             return torch.cat(found, -1)
 
         return run
+
+    @property
+    def state(self) -> TensorDict:
+        """Weights, moments and targets by name; views."""
+        moments = {name: unflattened(self.flat[name], self.params) for name in self.optimiser.moments}
+        followers = {"targets": self.targets} if "targets" in self.flat else {}
+        return TensorDict({"params": self.params, "moments": moments, **followers}, self.params.shape)
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, moments, targets, and how many steps there were."""

@@ -156,10 +156,8 @@ def test_a_step_for_the_whole_row_is_one_step_a_tensor_also_of_agents_in_turn(ki
         mine = learner(Two(2), optimiser=OPTIMISERS[kind][0], tau=0.2, compile=compile)
         mine.learn(rows(2, 5, 8))
         found.append(mine.flat)
-    for other in found[1:]:
-        torch.testing.assert_close(
-            found[0], other, rtol=1e-5 * compile, atol=1e-6 * compile
-        )  # eager: the bits
+    for other in found[1:]:  # eager, the bits are the same
+        torch.testing.assert_close(found[0], other, rtol=1e-5 * compile, atol=1e-6 * compile)
     assert not torch.equal(found[0]["params"], learner(Two(2)).flat["params"])
 
 

@@ -115,9 +115,8 @@ class Learner:
 
     Args:
         loss: a batch [A, N] -> losses [A, N] by name, of networks whose parameters lead with the agent axis.
-            They become views of one tensor: move networks to a device or type before.
-            As in TorchRL, the target of a parameter has its name with `target_` in front, and needs no
-            gradient.
+            These become views of one tensor: move networks to a device or type before. As in TorchRL, the
+            target of a parameter has its name with `target_` in front, and needs no gradient.
         losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
         optimiser: `Adam` or `RMSprop`.
         max_grad_norm: each agent's gradient is scaled down to this norm; None leaves it as it is.
@@ -262,7 +261,8 @@ class Learner:
             others = TensorDict(others).unflatten_keys(".")
             with (
                 TensorDict({**params}).unflatten_keys(".").to_module(self.loss),
-                others.to_module(self.loss, preserve_module_state=False),  # a new Parameter is not traced
+                # else tensordict makes new Parameters of what needs no gradient, and these are not traced
+                others.to_module(self.loss, preserve_module_state=False),
             ):
                 found, following = self._update(rate, params, flat, memory, batch)
             return found, *following

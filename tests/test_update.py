@@ -233,23 +233,25 @@ def test_columns_in_another_order_as_a_refilled_buffer_has_them_are_one_graph(mo
 
 
 PAGES = """
-import resource, torch
+import os, resource, torch
 from uavnav.training import machine
-def written():
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(50):
-        torch.ones(1_600_000)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-for sizes in ((0, 0), (6_400_000, 0), (0, 6_400_000)):
-    machine.keep_memory_flat(*sizes)
-    written()
-    print(written())
-    machine.keep_memory_flat()
+def pages():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for sizes in ((0, 0), (6_400_000, 0), (0, 6_400_000), (0, 5_000_000)):
+    if not os.fork():
+        machine.keep_memory_flat(*sizes)
+        for _ in range(2):
+            before = pages()
+            for _ in range(50):
+                torch.ones(1_600_000)
+        print(pages() - before, flush=True)
+        os._exit(0)
+    os.wait()
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are counted as Linux counts them")
-def test_a_block_as_large_as_the_weights_is_used_again_and_without_such_weights_goes_back():
+def test_a_block_as_large_as_the_weights_stays_and_without_such_weights_goes_back():
     found = subprocess.run([sys.executable, "-c", PAGES], capture_output=True, text=True, check=True)
-    without, with_layer, with_weights = map(int, found.stdout.split())
-    assert without >= 50 > max(with_layer, with_weights)
+    without, with_layer, with_weights, with_fewer = map(int, found.stdout.split())
+    assert min(without, with_fewer) >= 50 > max(with_layer, with_weights)

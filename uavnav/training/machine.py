@@ -139,11 +139,11 @@ def keep_memory_flat(layer: int = 0, weights: int = 0) -> None:
 
     glibc raises the size from which it does so up to 32 MB by itself: rollouts are then on a heap among small
     things that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Each update has
-    blocks as large as all `weights` of a network [bytes], and new pages would take half of its time: they
-    stay. So do the outputs of a `layer` whose weights alone exceed a megabyte, for a batch of a few hundred.
-    Other C libraries are left as they are.
+    blocks as large as all `weights` of a network [bytes] and what aligns them, and new pages would take half
+    of its time: they stay, and little that is larger. So do the outputs of a `layer` whose weights alone
+    exceed a megabyte, for a batch of a few hundred. Other C libraries are left as they are.
     """
-    kept = max(8 * layer * (layer > MAPPED_FROM), 2 * weights * (weights > MAPPED_FROM))
+    kept = max(8 * layer * (layer > MAPPED_FROM), weights * 9 // 8 * (weights > MAPPED_FROM))
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
         if kept:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from importlib import import_module
 from pathlib import Path
 
@@ -332,6 +333,20 @@ def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and
     found = read_sections(Path("docs/benchmarks.md"))
     assert list(found) == ["", words[-1] if words else "world"]
     assert "cut short" in found[words[-1] if words else "world"]
+
+
+@pytest.mark.parametrize("which", ["collection", "updates"])
+def test_of_a_part_one_iteration_is_measured_also_where_only_the_caches_are_warmed(which, monkeypatch):
+    learned = []
+    config = Namespace(frames_per_iteration=8, n_seeds=2, make=lambda compiled: trainee)
+    trainee = Namespace(actor=None, learn=lambda batch, frames: learned.append(frames))
+    monkeypatch.setattr(training, "settings", lambda algorithm, **changed: config)
+    monkeypatch.setattr(training, "products", lambda config: {which: 6e9})
+    monkeypatch.setattr(training, "make_training_env", lambda config, compiled: None)
+    monkeypatch.setattr(training, "make_collector", lambda env, actor, config: iter(range(100)))
+    found = training.part(0.0, "ppo", 0.0, which)
+    assert learned == [8, 16, 24]  # two to warm up
+    assert found["gflops"] == pytest.approx(found["rate"] / 16 * 6)
 
 
 def test_the_products_of_an_iteration_are_counted_as_by_hand():

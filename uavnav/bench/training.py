@@ -85,7 +85,8 @@ def whole(launched: float, algorithm: str, **changed: Any) -> Result:
 
 
 def part(launched: float, algorithm: str, seconds: float, which: str, **changed: Any) -> Result:
-    """The `collection` or the `updates` of a run apart, in one thread, watched for a while once it learns.
+    """The `collection` or the `updates` of a run apart, in one thread, watched for a while once it learns:
+    for one iteration at least.
 
     Frames a second of all seeds, and the arithmetic of the networks' products in that time.
     """
@@ -95,7 +96,7 @@ def part(launched: float, algorithm: str, seconds: float, which: str, **changed:
     batches = iter(make_collector(env, trainee.actor, config))
     learns_from = getattr(config, "frames_before_learning", 0) + WARM * config.frames_per_iteration
     frames, iterations, spent = 0, 0, 0.0
-    while spent < seconds:
+    while not iterations or spent < seconds:
         began = time.perf_counter()
         batch = next(batches)
         collected = time.perf_counter()

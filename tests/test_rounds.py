@@ -44,7 +44,7 @@ def test_25_rounds_as_one_graph_are_25_rounds_bit_for_bit_also_after_a_stop(algo
     monkeypatch.setattr(replay, "LOG_FRAMES", 400)
     config = ALGORITHMS[algorithm].config(**SMALL | CASES[algorithm])
     called, run = [], Rounds.run
-    monkeypatch.setattr(Rounds, "run", lambda self, env: called.append(1) or run(self, env))
+    monkeypatch.setattr(Rounds, "run", lambda self, env: called.append(self) or run(self, env))
     one_by_one = train(config, tmp_path / "one", quiet=True, processes=1)
     assert not called  # a short run
     monkeypatch.setattr(rounds, "LEAST_ROUNDS", 0)
@@ -53,6 +53,8 @@ def test_25_rounds_as_one_graph_are_25_rounds_bit_for_bit_also_after_a_stop(algo
     with pytest.raises(Interrupted):
         train(config, tmp_path / "stopped", quiet=True, processes=1, until=config.frames // 2)
     stopped = train(config, tmp_path / "stopped", quiet=True, processes=1)
+    assert len({*called}) == 3
+    assert {len(one._graph._graphs) for one in called} == {1}  # compiled once
     kept_there = [*one_by_one.path.glob("policy-at-*")]  # which `same` does not know
     assert len(kept_there) == len(config.keep_at)
     for other in (together, stopped):

@@ -74,6 +74,7 @@ def run(measurements: Sequence[Measurement], cache: Path, say: Callable[[str], N
                     measure(one, one.arguments | one.warm, cache)
                 found = measure(one, one.arguments, cache)
                 results.rows.append((one, turn, found))
+                results.missing.pop(one.name, None)  # of an earlier round
                 said = ", ".join(f"{key} {found[key]:,.4g}" for key in numbers(found))
             except JobError as error:
                 results.missing[one.name] = said = str(error)

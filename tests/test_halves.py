@@ -1,5 +1,6 @@
 """An evaluation that would take long is flown by two processes, half of the seeds each."""
 
+import multiprocessing
 import os
 
 import pytest
@@ -43,13 +44,22 @@ def test_two_halves_leave_the_same_bytes_as_one_process(flown, faults):
 
 def test_a_half_whose_process_fails_is_evaluated_here(flown, monkeypatch):
     alone = flown(0)
-    monkeypatch.setattr(machine, "_do", lambda work, said: None)
+    monkeypatch.setattr(machine, "_do", lambda *given: None)
     assert flown(1) == alone
 
 
 def test_the_work_of_a_fork_is_done_by_another_process():
     with machine.forked(os.getpid) as found:
         assert found() not in (os.getpid(), None)
+
+
+def test_where_no_fork_can_be_started_its_work_is_done_here(monkeypatch):
+    def start(process):
+        raise BlockingIOError("no more processes")
+
+    monkeypatch.setattr(multiprocessing.get_context("fork").Process, "start", start)
+    with machine.forked(os.getpid) as found:
+        assert found() == os.getpid()
 
 
 def test_what_goes_wrong_in_a_fork_is_raised_here(capfd):

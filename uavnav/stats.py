@@ -150,8 +150,9 @@ class Contrasts(NamedTuple):
     def power(self, effect: Array, level: float | Array) -> Array:
         """How probably a one-sided test at this level finds effects [J]: by the noncentral t."""
         shift = np.minimum(effect / np.where(self.error > 0, self.error, np.nan), _FAR)
-        found = 1 - special.nctdtr(self.df, shift, special.stdtrit(self.df, 1 - np.asarray(level)))
-        return np.asarray(np.where(shift == _FAR, 1.0, found))
+        bound = special.stdtrit(self.df, 1 - np.asarray(level))
+        missed = np.zeros(np.broadcast_shapes(np.shape(self.df), shift.shape, bound.shape))
+        return np.asarray(1 - special.nctdtr(self.df, shift, bound, out=missed, where=shift != _FAR))
 
 
 _FAR = 30.0

@@ -187,11 +187,9 @@ class Replay:
         age, shape = (rows - first) % storage.max_size, (n_rounds, len(agents), n_batches, batch_size, -1)
         places = rows * len(agents) + agents
         fresh = torch.where(age < written, age * len(agents) + agents, -1)
-        places, fresh = (
-            one.movedim(1, 3).reshape(shape).clone(memory_format=torch.contiguous_format)  # one graph for all
-            for one in (places, fresh)
-        )
-        return places, fresh
+        places, fresh = (one.movedim(1, 3).reshape(shape) for one in (places, fresh))
+        alike = torch.contiguous_format  # other strides would be another graph
+        return places.clone(memory_format=alike), fresh.clone(memory_format=alike)
 
     def write(self, rows: Tensor) -> None:
         """Fill the newest places with rows [n, A, F] that came after `draw_ahead`."""

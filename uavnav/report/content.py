@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +58,8 @@ from uavnav.training import machine
 from uavnav.views import replays
 
 Episodes = dict[whys.Place, pd.DataFrame]
+Ask = tuple[str, Evidence, Evidence, Sequence[Claim]]
+"""A column of grades, our numbers and the paper's, and the claims that are asked of them."""
 WATCHED = ("main", "baseline", "initial")
 """Studies whose episodes are measured."""
 
@@ -139,36 +143,20 @@ def gather(
     main, of_paper = dealt.main, studies.paper_configurations(dealt.main)
     shown = dict.fromkeys([*of_paper.values(), *studies.elsewhere(configurations)])
     flying = [replays.Trained(one.algorithm, one.activation, one.runs) for one in shown]
-    with (
-        machine.use_threads(1),
-        machine.forked(lambda: fly(flying)) as replayed,
-        machine.forked(lambda: _apart(folders)) as elsewhere,
-    ):
+    with contextlib.ExitStack() as beside:
+        beside.enter_context(machine.use_threads(1))
+        replayed = beside.enter_context(machine.forked(lambda: fly(flying)))
+        elsewhere = beside.enter_context(machine.forked(lambda: _apart(folders)))
         tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(dealt)
         baselines, unread = frames.baselines(folders)
         tuned, winners, untuned = tuning.read(folders, baselines)
         evidence = {one: studies.evidence_of(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
-        tell("judging the claims")
-        asks: list[tuple[str, Evidence, Evidence, Sequence[Claim]]] = [
-            (column, evidence[one], functools.partial(studies.of_paper, definition=one), CLAIMS)
-            for column, one in COLUMNS.items()
-        ]
-        of_worlds, of_studies, unread_apart = elsewhere()
-        left_out += unread_apart
-        if of_worlds:
-            of_tasks = worlds.Evidence(of_worlds.seeds)
-            asks += [(column, of_tasks, studies.of_paper, DISCUSSION) for column in (FINAL, OTHER)]
-        audits: dict[str, list[Finding]] = {column: [] for column in COLUMNS}
-        errs = []
-        for column, ours, printed, claims in asks:
-            audits[column] += audit(ours, printed, asked(claims, column))
-            errs.append(characteristics(ours, printed, asked(claims, column)).assign(column=column))
+        tell("working out tables")
         survival, survived = frames.survival(main, baselines)
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
         carried = frames.carried(dealt, evidence[PRIMARY])
-        tell("working out tables")
         values, vectorised = frames.per_seed_values(main), studies.paper_configurations(dealt.vectorised)
         numbers = {
             "seeds": values,
@@ -196,18 +184,30 @@ def gather(
             "by_default": frames.by_default(dealt, winners),
             "fits": frames.fits(predictions, evidence),
             "peaks": frames.peaks(of_paper, evidence),
-            "verdicts": frames.verdicts(audits),
-            "grades": frames.grades(audits),
-            "operating": joined(errs),
             **tuned,
-            **of_studies,
         }
         if dealt.tuned:
             numbers["fast"] = frames.gaps(dealt.tuned, baselines)
         if len(carried):
             numbers |= {"carried": carried, "further": frames.gaps(studies.further(dealt), baselines)}
+        tell("judging the claims")
+        asks: list[Ask] = [
+            (column, evidence[one], functools.partial(studies.of_paper, definition=one), CLAIMS)
+            for column, one in COLUMNS.items()
+        ]
+        of_worlds, of_studies, unread_apart = elsewhere()
+        left_out += unread_apart
+        if of_worlds:
+            of_tasks = worlds.Evidence(of_worlds.seeds)
+            asks += [(column, of_tasks, studies.of_paper, DISCUSSION) for column in (FINAL, OTHER)]
+        audits: dict[str, list[Finding]] = {column: [] for column in COLUMNS}
+        for column, ours, printed, claims in asks:
+            audits[column] += audit(ours, printed, asked(claims, column))
+        errs = beside.enter_context(machine.forked(lambda: joined([*itertools.starmap(_errs, asks)])))
+        numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits), **of_studies}
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
+        numbers["operating"] = errs()
         tell("flying episodes for the replays")
         recorded = replayed()
     return Content(
@@ -219,6 +219,11 @@ def gather(
         baselines,
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *recorded["left_out"]])),
     )
+
+
+def _errs(column: str, ours: Evidence, printed: Evidence, claims: Sequence[Claim]) -> pd.DataFrame:
+    """How often the rule gives each grade in a column, if the truth is known."""
+    return characteristics(ours, printed, asked(claims, column)).assign(column=column)
 
 
 def _apart(folders: Sequence[Path]) -> tuple[Worlds | None, dict[str, pd.DataFrame], list[str]]:

@@ -29,7 +29,7 @@ from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, MODE, label
 from uavnav.report.content import Content
 from uavnav.report.mine import Mine
-from uavnav.report.templating import HERE, TEMPLATES, Source, files_of, pictures, plain
+from uavnav.report.templating import HERE, TEMPLATES, Source, files_of, plain, source
 from uavnav.report.templating import page as fill
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import paper
@@ -37,6 +37,7 @@ from uavnav.runs.definitions import LOG_CURVE, SAMPLED
 from uavnav.runs.metrics import LAST
 from uavnav.style import SCRIPTED_NAME, png
 from uavnav.tasks.world import World
+from uavnav.training import machine
 from uavnav.views.replays import paths, together
 
 SECTIONS = {
@@ -103,24 +104,29 @@ def contents(
     first: the report's first folder; own: what stands before the study; watched: the page renews itself.
     """
     shown = [*(own.figures if own else []), *content.figures]
-    found = files_of(shown)
-    for stem, frame in content.tables.items():
-        found[f"tables/{stem}.csv"] = frame.to_csv(
-            index=False, float_format="%.6g", lineterminator="\n"
-        ).encode()
-    for algorithm, (header, *rows) in content.paper_tables.items():
-        rows = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
-        found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *rows]).encode()
-    if episodes := first_episodes(content):
-        drones = paths(episodes, PREVIEWED)
-        firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
-        collided = {
-            name for name, one in firsts.items() if one["steps"] <= PREVIEWED and one["ended"] == "collision"
-        }
-        title, obstacles = plain(content.said["headline"] or TITLE), np.array(episodes["layouts"][0])
-        found["preview.png"] = png(arena.preview(title, drones, collided, obstacles, World()))
-    found["report.html"] = page(content, pictures(shown), first, own, watched).encode()
-    found["report.md"] = markdown(content).encode()
+    with machine.forked(lambda: (markdown(content), [source(one.narrow) for one in shown])) as beside:
+        found = files_of(shown)
+        for stem, frame in content.tables.items():
+            found[f"tables/{stem}.csv"] = frame.to_csv(
+                index=False, float_format="%.6g", lineterminator="\n"
+            ).encode()
+        for algorithm, (header, *rows) in content.paper_tables.items():
+            rows = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
+            found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *rows]).encode()
+        if episodes := first_episodes(content):
+            drones = paths(episodes, PREVIEWED)
+            firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
+            collided = {
+                name
+                for name, one in firsts.items()
+                if one["steps"] <= PREVIEWED and one["ended"] == "collision"
+            }
+            title, obstacles = plain(content.said["headline"] or TITLE), np.array(episodes["layouts"][0])
+            found["preview.png"] = png(arena.preview(title, drones, collided, obstacles, World()))
+        text, phones = beside()
+        pictures = {one.name: [source(one.drawn), phone] for one, phone in zip(shown, phones, strict=True)}
+        found["report.html"] = page(content, pictures, first, own, watched).encode()
+        found["report.md"] = text.encode()
     return found
 
 

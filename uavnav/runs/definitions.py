@@ -103,8 +103,9 @@ def last_hundred(episodes: pd.DataFrame, column: str, windows: Sequence[tuple[fl
         sums = np.concatenate([[0.0], own[column].to_numpy(np.float64).cumsum()])
         ended = np.arange(1, len(sums))
         since = np.maximum(ended - LAST, 0)
-        logged, ends = (sums[ended] - sums[since]) / (ended - since), own["frame"].to_numpy(np.float64)
-        frames = [np.diff(np.clip([*ends, math.inf], *window)) for window in windows]
+        logged = (sums[ended] - sums[since]) / (ended - since)
+        ends = np.append(own["frame"].to_numpy(np.float64), math.inf)
+        frames = [np.diff(np.clip(ends, *window)) for window in windows]
         rows[seed] = [logged @ one / one.sum() if one.sum() else math.nan for one in frames]
     index = pd.Index([*rows], name="seed")
     return pd.DataFrame([*rows.values()], index, range(len(windows)), dtype=np.float64)

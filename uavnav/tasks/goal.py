@@ -111,9 +111,7 @@ def validate(layouts: Tensor, world: World | None = None) -> None:
     circles.validate(layouts[:, :-1], world)
     goal = layouts[:, -1].double().cpu().numpy()
     standing = layouts[:, :-1].cpu().numpy()
-    room = np.array(
-        [_room(place[None, :2], around, world)[0] for place, around in zip(goal, standing, strict=True)]
-    )
+    room = _room(goal[:, None, :2], standing, world)[:, 0]
     away = np.hypot(*(goal[:, :2] - np.array(world.start)).T)
     for wrong, problem in (
         (~np.isfinite(goal).all(-1), "is not finite"),
@@ -163,15 +161,15 @@ def _draw_goal(standing: Array, rng: np.random.Generator, world: GoalWorld) -> A
 
 
 def _room(places: Array, standing: Array, world: World) -> Array:
-    """Distance [P] px from places [P, 2] to the nearest edge of circles [K, 3] or of the border."""
-    x, y = places.T
+    """Distance [..., P] px from places [..., P, 2] to the nearest edge of circles [..., K, 3] or a border."""
+    x, y = np.moveaxis(places, -1, 0)
     inner = world.border
     border = np.minimum(
         np.minimum(x - inner, world.width - inner - x), np.minimum(y - inner, world.height - inner - y)
     )
-    offset = places[:, None] - standing[None, :, :2].astype(np.float64)
-    edges = np.hypot(offset[..., 0], offset[..., 1]) - standing[:, 2]
-    return np.asarray(np.minimum(border, edges.min(1, initial=np.inf)))
+    offset = places[..., None, :] - standing[..., None, :, :2].astype(np.float64)
+    edges = np.hypot(offset[..., 0], offset[..., 1]) - standing[..., None, :, 2]
+    return np.asarray(np.minimum(border, edges.min(-1, initial=np.inf)))
 
 
 @functools.lru_cache(maxsize=2)

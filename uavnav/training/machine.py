@@ -109,8 +109,9 @@ def forked(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
         return
     fork = multiprocessing.get_context("fork")
     heard, said = fork.Pipe(duplex=False)
-    process = fork.Process(target=_do, args=(work, said), daemon=True)
-    process.start()
+    process = fork.Process(target=_do, args=(work, heard, said), daemon=True)
+    with contextlib.suppress(OSError):  # there is no memory for another process
+        process.start()
     said.close()
 
     def result() -> Result:
@@ -123,13 +124,15 @@ def forked(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
     try:
         yield result
     finally:
-        process.kill()
-        process.join()
+        if process.pid is not None:
+            process.kill()
+            process.join()
 
 
-def _do(work: Callable[[], Result], said: Connection) -> None:
+def _do(work: Callable[[], Result], heard: Connection, said: Connection) -> None:
     """What a fork does; whoever started it hears the signals of the terminal, and ends it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    heard.close()  # else it waits for itself to read where its starter was killed
     with contextlib.suppress(Exception):
         said.send(work())
 

@@ -98,7 +98,8 @@ def record(
         What the player reads, as JSON: `world` (its constants), `layouts` (of [x, y, radius] px;
         None for those that are not shown), `actions` ([degrees, px] of each), `fields` (of the bytes),
         `configurations` (with their `episodes`; elsewhere than in the paper's task also `_place`), `scripted`
-        (episodes of the scripted policy), and `left_out`: a line for each policy that cannot fly.
+        (episodes of the scripted policy; none where no policy can fly), and `left_out`: a line for each
+        policy that cannot.
     """
     all_layouts, world = layouts.load("test"), World()
     ready: list[tuple[Trained, str, dict[int, Policy]]] = []
@@ -117,7 +118,7 @@ def record(
     with machine.use_threads(1):
         episodes = iter(fly(flyers, max_steps))
         task = WrappedTask(Task(world, all_layouts[:n_layouts], max_steps=max_steps))
-        (scripted,) = _fly_together([Flyer(0, reactive, task, usual)], task)
+        scripted = next(_fly_together([Flyer(0, reactive, task, usual)], task)) if ready else []
     shown = []
     for configuration, split, population in ready:
         algorithm, label = configuration.algorithm, configuration.label

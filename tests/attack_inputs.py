@@ -517,4 +517,6 @@ PLANTED = {
     "long line": [_talking, _loud],
     "half-written": [_leaving, lambda: Path("run/.meta.json.1.aside").touch()],
 }
-planted = st.sampled_from([Case(name, act) for name, acts in PLANTED.items() for act in acts])
+planted = st.sampled_from(
+    [Case(f"{name}, {number}", act) for name, acts in PLANTED.items() for number, act in enumerate(acts)]
+)

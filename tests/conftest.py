@@ -8,7 +8,7 @@ import sys
 import pytest
 from browsing import chrome, opened, playground  # noqa: F401 - fixtures for all modules of tests
 from filelock import FileLock
-from warm import Popen
+from warm import Popen, address
 
 import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without spinning
 
@@ -16,6 +16,8 @@ import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without sp
 def pytest_configure(config: pytest.Config) -> None:
     # a shell's background job ignores it, its children too
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if config.getoption("numprocesses", None) and sys.platform == "linux":
+        address()  # one server for all processes of tests
     config.addinivalue_line("markers", "slow: takes more than 30 s on one core")
     config.addinivalue_line("markers", "compiled: needs a compiler, and is skipped where there is none")
 

@@ -64,12 +64,13 @@ def slots_of(found, velocities=None, yaw=90, pitch=0, fastest=2.0, slots="neares
     seen = [index for index, one in enumerate(found) if in_view(one)]
     if slots == "nearest":
         seen.sort(key=lambda index: found[index][0])
+    axes = frame(yaw, pitch)
     filled, empty = [], (0.0, 0.0, 0.0, float(padding == "far")) + (0.0,) * (3 * (velocities is not None))
     for nth, index in enumerate(seen[:10]):
         distance, own = hear(nth, found[index][0]) if hear else found[index][0], ()
         if velocities is not None:
             velocity = velocities[index] if index < len(velocities) else (0.0, 0.0, 0.0)
-            own = tuple(max(-1.0, min(1.0, part / fastest)) for part in inside(velocity, frame(yaw, pitch)))
+            own = tuple(max(-1.0, min(1.0, part / fastest)) for part in inside(velocity, axes))
         filled.append(empty if distance is None else (*numbers((distance, *found[index][1:])), *own))
     return filled + [empty] * (10 - len(filled))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 from tied import LINK
 
 ROOT = Path(__file__).parent.parent
@@ -40,7 +41,8 @@ def per_frame():
 
 
 def last_100(rewards):
-    return [np.mean(rewards[max(0, n - 100) : n]) for n in range(1, len(rewards) + 1)]
+    first = [rewards[:n].mean() for n in range(1, min(100, len(rewards) + 1))]
+    return [*first, *(sliding_window_view(rewards, 100).mean(1) if len(rewards) >= 100 else ())]
 
 
 @pytest.fixture(scope="module")

@@ -148,6 +148,7 @@ def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tm
     failed, _ = study(NeverEnds())
     assert failed == []
     left = {path.name for path in (tmp_path / "out" / "ppo" / "tanh").iterdir()}
+    assert "evaluation-test-2-20.parquet" in left
     assert PROGRESS not in left
     assert not [name for name in left if name.startswith(run.EPISODES)]
 
@@ -439,22 +440,6 @@ def test_the_heart_of_a_worker_beats_while_it_flies(tmp_path, monkeypatch):
     (told,) = seen
     assert (told["frames"], told["total"]) == (CONFIG.frames, CONFIG.frames)
     assert not (own.folder / PROGRESS).exists()
-
-
-@pytest.mark.parametrize(
-    "problem", [RunError("the disk is full"), ValueError("too many"), OSError("read-only")]
-)
-def test_a_worker_whose_episodes_fail_says_why(problem, tmp_path, monkeypatch):
-    def fail(run, **how):
-        raise problem
-
-    monkeypatch.setattr(worker, "evaluate_run", fail)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(worker, "STOPS", ())
-    own = workers.Worker(tmp_path / "0", CONFIG)
-    worker.main(own.prepare(1, FLOWN.header()))
-    assert workers.last_words(own.file("ended"))["error"] == str(problem)
-    assert not workers.last_words(own.file("ended")).get("diverged")
 
 
 def test_a_heart_without_a_known_end_is_heard(tmp_path):

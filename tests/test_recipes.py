@@ -31,12 +31,12 @@ RECIPES = Path(__file__).parent.parent / "recipes"
 RESULTS = RECIPES.parent / "results"
 SMALL_BATCHES = ["frames_per_batch=64", "minibatch_size=64", "compile=off"]
 SHORT = {
-    "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "anneal_lr=true", "evaluate=false"],
-    "dqn": ["total_frames=1e3", "learning_starts=500", "anneal_lr=true", "evaluate=false"],
-    "a2c": ["total_frames=1e3", "evaluate=false"],
-    "sac": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
-    "c51": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
-    "pqn": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
+    "ppo": ["total_frames=512", "frames_per_batch=256", "epochs=1", "anneal_lr=true", "evaluate=false"],
+    "dqn": ["total_frames=512", "learning_starts=250", "anneal_lr=true", "evaluate=false"],
+    "a2c": ["total_frames=500", "evaluate=false"],
+    "sac": ["total_frames=512", "learning_starts=400", "evaluate=false"],
+    "c51": ["total_frames=512", "learning_starts=400", "evaluate=false"],
+    "pqn": ["total_frames=512", "frames_per_batch=256", "epochs=1", "evaluate=false"],
 }
 
 

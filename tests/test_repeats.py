@@ -169,7 +169,9 @@ def test_two_modes_at_once_leave_what_each_leaves_alone():
         "greedy": {0: untrained(), 1: always(50)},
         "sampled": {seed: dataclasses.replace(untrained(seed), greedy=False) for seed in (0, 1)},
     }
-    together = evaluation.fly_modes(modes, task)
+    up = []
+    together = evaluation.fly_modes(modes, task, lambda step, episodes: up.append(episodes))
+    assert len(up) < 1_200  # the others were counted
     for mode, population in modes.items():
         own = [rows[rows["mode"] == mode].drop(columns="mode").reset_index(drop=True) for rows in together]
         assert_same(own, evaluation.fly(population, task))
@@ -180,9 +182,9 @@ def test_with_a_reward_of_a_plugin_it_is_flown(flown, monkeypatch):
     monkeypatch.setitem(
         rewards.REWARDS, "patience", lambda step: {"patience": 1e-3 * step.after.steps.double()}
     )
-    rows = evaluate_policy(always(0), OPEN, 2, 1_200, reward="patience")
-    assert len(flown) == 1_200
-    assert rows.reward.tolist() == pytest.approx([1e-3 * 1_200 * 1_201 / 2] * 2)
+    rows = evaluate_policy(always(0), OPEN, 2, 600, reward="patience")
+    assert len(flown) == 600
+    assert rows.reward.tolist() == pytest.approx([1e-3 * 600 * 601 / 2] * 2)
 
 
 def test_a_reward_that_replaces_a_built_in_one_is_flown_too(flown, monkeypatch):
@@ -193,18 +195,18 @@ def test_a_reward_that_replaces_a_built_in_one_is_flown_too(flown, monkeypatch):
 
 def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
     class Wind(Task):
-        """Every 300th step the drone is blown 60 px upwards."""
+        """Every 120th step the drone is blown 60 px upwards."""
 
         def move(self, state, action):
             moved, angle, distance = super().move(state, action)
-            gust = torch.where((state.steps + 1) % 300 == 0, 60.0, 0.0)
+            gust = torch.where((state.steps + 1) % 120 == 0, 60.0, 0.0)
             return moved._replace(y=moved.y + gust), angle, distance
 
     monkeypatch.setitem(TASKS, "wind", Wind)
     task = on(make_task(EMPTY, task="wind"), OPEN, 2, 2_000)
     rows = evaluation.fly({0: always(0)}, task).episodes
-    assert len(flown) == 1_500
-    assert (rows.steps == 1_500).all()  # 300 + 5 x 60 px: beyond the wall's 250
+    assert len(flown) == 600
+    assert (rows.steps == 600).all()  # 300 + 5 x 60 px: beyond the wall's 250
     assert rows.terminated.all()
 
 

@@ -29,7 +29,7 @@ ALGORITHMS = {
     "ppo": (
         ppo.train,
         ppo.PPOConfig(
-            n_envs=16,
+            n_envs=64,
             n_seeds=2,
             total_frames=3072,
             frames_per_batch=512,

@@ -25,6 +25,8 @@ from contextlib import suppress
 
 ADDRESS = "UAVNAV_WARM"
 """The variable with the server's name, an abstract socket of Linux."""
+FIRST = "UAVNAV_WARM_FIRST"
+"""The variable with a line of Python that a new process runs first."""
 PATH = sys.path[1:]
 MODULES = (
     "uavnav.cli.worker",
@@ -156,6 +158,7 @@ def run(words, log, cwd, env):
     os.environ.update(env)
     if "torch._inductor.config" in sys.modules:  # the server has read what was its compiler
         sys.modules["torch._inductor.config"].cpp.cxx = None, os.environ.get("CXX", "g++")
+    exec(env.get(FIRST, ""))
     call_oneself(sys.executable, *words)
     sys.stdin, sys.stdout, sys.stderr = (open(number, "rww"[number]) for number in range(3))  # noqa: SIM115
     subprocess.Popen = Popen

@@ -84,8 +84,12 @@ class Ended(NamedTuple):
 # -- drawing -------------------------------------------------------------------------------------------------
 
 
-def block(kind, seed, number):
-    """The cases of a block, the same in every process."""
+class Enough(KeyboardInterrupt):
+    """So many cases are drawn; Hypothesis lets it pass."""
+
+
+def block(kind, seed, number, most=BLOCK):
+    """The first cases of a block, the same in every process."""
     found = []
 
     @hypothesis.seed(f"{kind}:{seed}:{number}")
@@ -99,8 +103,11 @@ def block(kind, seed, number):
     @hypothesis.given(KINDS[kind])
     def note(case):
         found.append(case)
+        if len(found) == most:
+            raise Enough
 
-    note()
+    with suppress(Enough):
+        note()
     return found
 
 
@@ -108,7 +115,7 @@ def cases(kind, seed, n):
     """So many cases of a class, each with its name."""
     number = 0
     while n > 0:
-        for index, case in enumerate(block(kind, seed, number)[:n]):
+        for index, case in enumerate(block(kind, seed, number, min(n, BLOCK))):
             yield f"{kind}:{seed}:{number * BLOCK + index}", case
             n -= 1
         number += 1

@@ -129,7 +129,7 @@ def test_compiled_policies_choose_by_the_weights_of_now(acts):
         for compile in (True, False)
     )
     generator = torch.Generator().manual_seed(0)
-    observation = torch.rand(2, 3, 30, generator=generator)  # as in test_env: one graph serves both
+    observation = torch.rand(2, 8, 30, generator=generator)
     chosen = []
     for _ in range(3):
         chosen.append(compiled.act(observation))

@@ -203,11 +203,13 @@ def gather(
         audits: dict[str, list[Finding]] = {column: [] for column in COLUMNS}
         for column, ours, printed, claims in asks:
             audits[column] += audit(ours, printed, asked(claims, column))
-        errs = beside.enter_context(machine.forked(lambda: joined([*itertools.starmap(_errs, asks)])))
+        operating = beside.enter_context(
+            machine.forked(lambda: joined([*itertools.starmap(_operating, asks)]))
+        )
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits), **of_studies}
         tell("drawing figures")
         drawn = figures.draw(of_paper, numbers, watched, survival, of_worlds)
-        numbers["operating"] = errs()
+        numbers["operating"] = operating()
         tell("flying episodes for the replays")
         recorded = replayed()
     return Content(
@@ -221,7 +223,7 @@ def gather(
     )
 
 
-def _errs(column: str, ours: Evidence, printed: Evidence, claims: Sequence[Claim]) -> pd.DataFrame:
+def _operating(column: str, ours: Evidence, printed: Evidence, claims: Sequence[Claim]) -> pd.DataFrame:
     """How often the rule gives each grade in a column, if the truth is known."""
     return characteristics(ours, printed, asked(claims, column)).assign(column=column)
 

@@ -11,7 +11,7 @@ from bad_input import put
 from runs_by_hand import rows, two, write_policies, write_run
 
 from uavnav.colours import OTHERS, PILOTS
-from uavnav.report import compare, mine, places, report
+from uavnav.report import charts, compare, mine, places, report
 from uavnav.report.configurations import collect
 from uavnav.runs.tables import write_table
 from uavnav.training.checkpoints import Checkpoints
@@ -113,6 +113,8 @@ def test_of_an_unfinished_run_a_worker_that_has_finished_counts_too(tmp_path):
     Checkpoints(going / "checkpoint", {}).save(400, {"episodes": snapshot}, {"frames": 400})
     ((begun, _),) = mine.unfinished([tmp_path]).values()
     assert begun.episodes.groupby("seed").size().to_dict() == {0: 2, 1: 2}
+    (axes,) = charts.curves({"begun": begun}, {}).figure.axes
+    assert axes.get_legend_handles_labels()[1] == ["begun, n = 2"]
 
 
 @pytest.mark.usefixtures("brief")

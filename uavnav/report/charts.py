@@ -234,14 +234,15 @@ def curves(
     if not any(len(one.episodes) for one in configurations.values()):
         return style.nothing(title)
     figure, axes = style.panel(title, width=width)
-    ends = []
+    ends, several = [], False
     looks = looks or style.of_activations(configurations)
     for name, configuration in configurations.items():
         seeds = configuration.logged if definition == LOG_CURVE else configuration.curve
         line, (colour, dashes) = band(seeds), looks[name]
-        legend = textwrap.fill(f"{name}, n = {configuration.n_seeds}", 50)
+        legend = textwrap.fill(f"{name}, n = {len(seeds.columns)}", 50)
         axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=1.8, label=legend)
         _shade(axes, line, colour)
+        several |= len(seeds.columns) > 1
         if name in printed:
             axes.axhline(printed[name], color=colour, linestyle="--", linewidth=1)
         beside = f"the paper's mean {style.number(printed[name])}" if name in printed else ""
@@ -256,7 +257,6 @@ def curves(
     axes.set_xlabel("frames per seed")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(6 if width >= style.WIDTH else 3))
-    several = any(one.n_seeds > 1 for one in configurations.values())
     handles = [
         *axes.get_legend_handles_labels()[0],
         *[Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")]

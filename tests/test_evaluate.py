@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 import torch
 from policies_by_hand import write_zip
+from runs_by_hand import write_policies
 
 import uavnav
 from uavnav.algorithms import dqn, ppo
@@ -163,6 +164,16 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     assert rows.layout.tolist() == [0, 1, 2, 3, 4]
     assert list(rows.columns) == list(EPISODE_COLUMNS)
     assert rows.attrs == {"layouts": "test", "episodes": 5, "max_steps": 50}
+
+
+@pytest.mark.parametrize(
+    ("words", "task"), [([], "moving"), (["--task", "goal"], "goal")], ids=["not given", "given"]
+)
+def test_a_scripted_policy_beside_a_run_flies_the_runs_task_unless_another_is_given(tmp_path, words, task):
+    run, out = write_policies(tmp_path / "run", n_seeds=1, task="moving", reward="eq14"), tmp_path / "out"
+    brief = ["--episodes", "2", "--max-steps", "5", "--quiet"]
+    assert fly_command([str(run), "random", *brief, *words, "--out", str(out)]) == 0
+    assert [path.name for path in out.iterdir()] == [f"random-{task}-test-2-5.parquet"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import functools
 import json
 import sys
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from uavnav.errors import ConfigError
@@ -69,6 +69,15 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
             raise ConfigError(f"{' '.join(words)}: {why}; leave it out")
 
 
+def _trained_in(found: Iterable[Run | Flyer]) -> list[str]:
+    """The tasks of runs and of other learned policies."""
+    return [
+        str(one.config.get("task", "drone")) if isinstance(one, Run) else name_of(one.task)
+        for one in found
+        if isinstance(one, Run) or one.task is not None
+    ]
+
+
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
     """How what is named is evaluated; what was trained flies in its own task."""
     if isinstance(found, Run):
@@ -126,6 +135,8 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(f"--out {arguments.out}: two policies of one name would share a file; rename one")
     found = {name: _found(name, arguments) for name in arguments.runs}
     _check(arguments, found)
+    if arguments.task == USUAL["task"]:
+        arguments.task = next(iter(_trained_in(found.values())), arguments.task)
     for one in found.values():
         for path in _files(one, arguments).values() if isinstance(one, Flyer) else ():
             check_out(path)

@@ -65,8 +65,8 @@ class SACConfig(ReplayConfig):
     learning_starts: Whole = key(20_000, "of the untrained policy, without updates", "frames per seed", ge=0)
     batch_size: Count = key(64, "in a gradient step", "transitions")
     # as SB3 has it
-    tau: Share = key(0.005, "of the way to the Q networks that the targets go after each step", "share")
-    target_entropy: Share = key(0.89, "of the entropy of random actions, ln 100, for the policy's", "share")
+    tau: Share = key(0.005, "of the Q networks that enters the targets after each step", "share")
+    target_entropy: Share = key(0.89, "that the policy's entropy should have of that of random actions, ln 100", "share")
     adam_eps: AtLeast0 = key(1e-4, "Adam's ε")
 
     def make(self, compile: bool) -> SAC:

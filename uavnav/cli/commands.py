@@ -232,7 +232,7 @@ STUDY_KEYS = {
     "algorithms": "algorithms=ppo,sac only",
     "seeds_per_worker": "seeds_per_worker=N of a job",
     "checkpoint_seconds": "checkpoint_seconds=60 between two snapshots",
-    "policies": "policies=true trains configurations again of which only rows are there",
+    "policies": "policies=true trains again what has rows and no policy",
     "report": "report=false writes none",
     "plugins": "plugins=my_module",
 }

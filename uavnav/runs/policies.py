@@ -346,7 +346,7 @@ SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
 
 def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     if not os.path.isfile(path):
-        raise PolicyError(f"{path}: no such file; give what model.save of PPO or DQN wrote")
+        raise PolicyError(f"{path}: no such file; give what model.save of PPO, A2C or DQN wrote")
     tensors = _sb3_tensors(path)
     algorithm, layers = _sb3_layers(path, tensors)
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
@@ -387,7 +387,7 @@ def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple
     strange = sorted(expected ^ {key for key in tensors if not key.startswith(SB3_OTHERS)})
     if strange:
         raise PolicyError(
-            f"{path}: no MlpPolicy of PPO or DQN, for its {', '.join(strange[:2])}; give one of them"
+            f"{path}: no MlpPolicy of PPO, A2C or DQN, for its {', '.join(strange[:2])}; give one of them"
         )
     layers = [(tensors[f"{name}weight"], tensors[f"{name}bias"]) for name in names]
     fits = all(weight.ndim == 2 and bias.shape == weight.shape[:1] for weight, bias in layers)

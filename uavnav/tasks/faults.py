@@ -31,7 +31,7 @@ class Faults(Settings):
     noise: Annotated[AtLeast0, at_most(MOST_WHOLE)] = key(
         0.0, "standard deviation σ of each sensed distance", "px"
     )
-    lost: Share = key(0.0, "of each echo to be lost, whatever the others do", "probability")
+    lost: Share = key(0.0, "of each sensed obstacle to be lost, independently", "probability")
     late: Whole = key(0, "by which each observation comes too late", "steps", ge=0, le=MOST_REMEMBERED)
     sticky: Share = key(0.0, "of the last executed action to be executed again", "probability")
 

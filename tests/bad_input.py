@@ -943,6 +943,7 @@ CASES = [
     misused("a large shape", lambda f: uavnav.DroneEnv([10**7, 9]), "batch_size", "at most"),
     misused("seeds in words", lambda f: uavnav.DroneEnv([2], seeds="ab"), "seeds=ab", "whole"),
     misused("a device", lambda f: uavnav.DroneEnv(device="gpu"), "device=gpu", "choose cpu"),
+    misused("no such device", lambda f: uavnav.DroneEnv(device="cuda:99"), "device=cuda:99", "choose cpu"),
     misused("options", lambda f: uavnav.gym.DroneGymEnv("test").reset(options=[3]), "[3]", "map"),
     misused("a policy", lambda f: uavnav.evaluate_policy(3), "policy=3", "load_policy"),
     word(f"{VERIFY} --frames=--", "--frames=--: ", "give a value"),

@@ -272,7 +272,7 @@ def test_a_snapshot_that_is_damaged_or_not_this_runs_is_named_and_the_older_one_
         pytest.warns(UserWarning, match="going on from the one before") as warned,
         pytest.raises(Interrupted) as stop,
     ):
-        train(config, out=folder, quiet=True, until=1)  # an iteration
+        train(config, out=folder, quiet=True, until=1.0)  # an iteration
     assert stop.value.frames == 1024 + 64
     assert "stopped by until=1 and saved at 1,088 of " in str(stop.value)
     said = str(warned[0].message)
@@ -387,12 +387,20 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
     shutil.rmtree(folder)
 
 
+def test_a_file_that_a_kill_left_half_written_keeps_no_run_out_of_its_folder(tmp_path):
+    half = tmp_path / "run" / ".config.yaml.7.aside"
+    half.parent.mkdir()
+    half.write_text("algor")
+    config = ppo.PPOConfig(n_envs=4, total_frames=16, frames_per_batch=16, minibatch_size=16, compile="off")
+    assert ppo.train(config, out=half.parent, quiet=True).frames == 16
+
+
 def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypatch):
     config = ppo.PPOConfig(
-        n_envs=16, n_seeds=4, total_frames=512, frames_per_batch=256, epochs=1, compile="off"
+        n_envs=16, n_seeds=4, total_frames=500, frames_per_batch=256, epochs=1, compile="off"
     )
     monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 2)
-    with pytest.raises(Interrupted):
+    with pytest.raises(Interrupted, match="saved at 256 of 512 frames"):
         ppo.train(config, out=tmp_path / "run", quiet=True, until=256)
     monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 1)
     before = torch.get_num_threads()

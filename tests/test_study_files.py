@@ -172,7 +172,12 @@ def test_classics_fly_where_a_configuration_was_trained_and_only_the_usual_ones_
 
 @pytest.mark.parametrize(
     ("layouts", "test"),
-    [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/layouts/4/train.safetensors", "test")],
+    [
+        ("train", "test"),
+        ("slalom-80/train", "slalom-80/test"),
+        ("my-data/train", "test"),
+        ("runs/layouts/4/train.safetensors", "test"),
+    ],
 )
 def test_the_test_layouts_of_a_layout_file_are_those_of_its_rung(layouts, test):
     assert judged_on(layouts) == test

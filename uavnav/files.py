@@ -25,6 +25,8 @@ MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 """Of a file of tensors, at most: the machine's memory."""
 WHOLE_BITS = 64
 """Of a whole number in YAML or JSON, at most."""
+ASIDE = ".aside"
+"""How a file's name ends while it is written."""
 
 
 class Facts(BaseModel):
@@ -40,7 +42,7 @@ def write(path: Path, content: bytes) -> None:
     """Write aside, then rename: the file is whole or not there; raises OSError."""
     if path.exists() and not path.is_file():  # a rename would put the file in its place
         raise FileExistsError(errno.EEXIST, "it is no file", str(path))
-    aside = path.with_name(f".{path.name}.{os.getpid()}.aside")
+    aside = path.with_name(f".{path.name}.{os.getpid()}{ASIDE}")
     try:
         aside.write_bytes(content)
         os.replace(aside, path)

@@ -57,16 +57,28 @@ def load(names: str | Sequence[str] | None) -> None:
                 raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ConfigError(f"plugins={name}: cannot be imported ({problem})") from error
-        for setting, (table, known), old in zip(TABLES, TABLES.values(), before, strict=True):
-            added = {key: value for key, value in table.items() if old.get(key) is not value}
-            table |= old
-            if taken := sorted(added.keys() & known.keys()):
+        finally:
+            added = _taken_out(before)
+        for setting, (_, known) in TABLES.items():
+            if taken := sorted(added[setting].keys() & known.keys()):
+                del sys.modules[name]  # so that it is refused the next time too
                 raise ConfigError(
                     f"plugins={name}: {setting}={taken[0]} is there already; give yours another name"
                 )
-            table |= added
-            known |= added
+        for setting, tables in TABLES.items():
+            for table in tables:
+                table |= added[setting]
         LOADED[name] = _sha256(module)
+
+
+def _taken_out(before: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """What a module has put into each table, by setting; the tables are again as before."""
+    added = {}
+    for (setting, (table, _)), old in zip(TABLES.items(), before, strict=True):
+        added[setting] = {key: value for key, value in table.items() if old.get(key) is not value}
+        table.clear()
+        table |= old
+    return added
 
 
 def _sha256(module: ModuleType) -> str:

@@ -66,7 +66,9 @@ class SACConfig(ReplayConfig):
     batch_size: Count = key(64, "in a gradient step", "transitions")
     # as SB3 has it
     tau: Share = key(0.005, "of the Q networks that enters the targets after each step", "share")
-    target_entropy: Share = key(0.89, "that the policy's entropy should have of that of random actions, ln 100", "share")
+    target_entropy: Share = key(
+        0.89, "that the policy's entropy should have of that of random actions, ln 100", "share"
+    )
     adam_eps: AtLeast0 = key(1e-4, "Adam's ε")
 
     def make(self, compile: bool) -> SAC:

@@ -6,7 +6,7 @@ import functools
 import json
 import sys
 from argparse import Namespace
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from uavnav.errors import ConfigError
@@ -69,13 +69,13 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
             raise ConfigError(f"{' '.join(words)}: {why}; leave it out")
 
 
-def _trained_in(found: Iterable[Run | Flyer]) -> list[str]:
+def _trained_in(found: Iterable[Run | Flyer]) -> Iterator[str]:
     """The tasks of runs and of other learned policies."""
-    return [
-        str(one.config.get("task", "drone")) if isinstance(one, Run) else name_of(one.task)
-        for one in found
-        if isinstance(one, Run) or one.task is not None
-    ]
+    for one in found:
+        if isinstance(one, Run):
+            yield str(one.config.get("task", "drone"))
+        elif one.task is not None:
+            yield name_of(one.task)
 
 
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
@@ -136,7 +136,7 @@ def main(arguments: Namespace) -> int:
     found = {name: _found(name, arguments) for name in arguments.runs}
     _check(arguments, found)
     if arguments.task == USUAL["task"]:
-        arguments.task = next(iter(_trained_in(found.values())), arguments.task)
+        arguments.task = next(_trained_in(found.values()), arguments.task)
     for one in found.values():
         for path in _files(one, arguments).values() if isinstance(one, Flyer) else ():
             check_out(path)

@@ -59,10 +59,11 @@ def _size(batch_size: Any) -> torch.Size:
 
 
 def _device(device: Any) -> torch.device:
-    """A device of torch; raises a ConfigError where there is no such name."""
+    """A device of torch; raises a ConfigError where this machine has none of that name."""
     try:
+        torch.empty(0, device=device)
         return torch.device(device)
-    except (RuntimeError, TypeError, ValueError) as error:
+    except (AssertionError, RuntimeError, TypeError, ValueError) as error:
         raise ConfigError(f"device={told(device)}; choose cpu, or a device that this machine has") from error
 
 

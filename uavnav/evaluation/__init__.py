@@ -103,7 +103,7 @@ def evaluate_policy(
         raise ConfigError(
             f"policy={told(policy)}; give what load_policy returns, or a function of observations"
         )
-    checked("seed", seed, Whole)
+    seed = checked("seed", seed, Whole)
     own = policy.task if isinstance(policy, Policy) else make_task(EMPTY)
     if task is not None or (world is not None and type(world) is not type(own.world)):
         of_world = next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")

@@ -312,8 +312,8 @@ def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
 
 def judged_on(layouts: str | Path) -> str:
     """The test layouts of a training split: of a rung its own, such as `density-12/test`; else `test`."""
-    rung, slash, split = str(layouts).rpartition("/")
-    return f"{rung}/test" if slash and split in SPLITS and re.match(r"[a-z]+-[^/]*$", rung) else "test"
+    rung, _, split = str(layouts).rpartition("/")
+    return f"{rung}/test" if split in SPLITS and is_rung(layouts) else "test"
 
 
 def name_of(layouts: str | Path) -> str:

@@ -189,7 +189,7 @@ def train(
     if tell is not None and not callable(tell):
         raise ConfigError(f"tell={told(tell)}; give a function of frames and rewards")
     checked("checkpoint_seconds", checkpoint_seconds, Seconds)
-    checked("until", until, Count | None)
+    until = checked("until", until, Count | None)
     names = loggers.chosen(logger)
     folder = Path(out) if out else free_folder(config)
     logs = loggers.Logs(names, folder, config.algorithm, plain(config))

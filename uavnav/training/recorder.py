@@ -163,6 +163,11 @@ class Recorder:
     def _unwritable(self, error: OSError) -> RunError:
         return RunError(f"out={self.path}: cannot be written ({error}); give a folder that can be written")
 
+    @staticmethod
+    def _no_run_yet(file: Path) -> bool:
+        """Whether a file may be where a run begins: a lock, a word to a worker, or what a kill left half."""
+        return file.name in (LOCK, STOP, PROGRESS) or file.suffix == files.ASIDE
+
     def _check_folder(self) -> bool:
         """Whether the very same run is already there and finished; without its policy it starts anew."""
         path = self.path
@@ -177,7 +182,7 @@ class Recorder:
             raise RunError(f"out={path}: {parent} is not a folder that can be written; give one that is")
         if path.exists() and not path.is_dir():
             raise RunError(f"out={path}: is a file; give a folder")
-        if not path.exists() or all(entry.name in (LOCK, STOP, PROGRESS) for entry in path.iterdir()):
+        if not path.exists() or all(map(self._no_run_yet, path.iterdir())):
             return False
         if not os.access(path, os.W_OK):
             raise RunError(f"out={path}: is not a folder that can be written; give one that is")
@@ -419,7 +424,7 @@ class Recorder:
         why = f"until={self.until}" if wanted else signal.Signals(number).name
         return Interrupted(
             f"{self.path}: stopped by {why} and saved at {frames:,} of"
-            f" {self.config.total_frames:,} frames; the same command goes on from there",
+            f" {self.config.frames:,} frames; the same command goes on from there",
             number,
             frames,
             wanted,

@@ -4,6 +4,7 @@ import functools
 import json
 import re
 import shutil
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -29,6 +30,7 @@ from uavnav.report.compare import (
     survival,
     text,
 )
+from uavnav.report.configurations import read
 from uavnav.report.tables import side_by_side
 from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import read_table
@@ -126,6 +128,10 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
     )
     assert apart([ABOVE, BELOW]) == apart([fast, fast]) == ""
     end = "flew in different tasks, so their rewards are not of one measure"
+    noisy, exact = (
+        compare.trained(name, read(Path(f"results/noise/{name}/ppo/tanh")), None) for name in ("5", "0")
+    )
+    assert apart([noisy, exact]) == f"5 (faults.noise=5.0) and 0 (faults.noise=0.0) {end}"
     assert apart([fast, slow]) == f"fast (speed_max=6.0) and slow (speed_max=2.0) {end}"
     monkeypatch.setattr(command, "contend", lambda names, *_: [ABOVE, BELOW, fast])
     assert main(["one", "other", "--json", "--out", str(tmp_path / "page.html")]) == 0

@@ -345,6 +345,17 @@ def test_another_number_of_episodes_limit_or_split_goes_to_its_own_file_and_repl
     assert Run(run.path).evaluation().attrs == {"layouts": "test", "episodes": 4, "max_steps": 9}
 
 
+def test_rows_under_the_shield_with_faults_or_on_the_way_are_not_a_runs_evaluation(small, tmp_path):
+    run = Run(shutil.copytree(small.path, tmp_path / "run"))
+    for other in ({"shield": True}, {"faults": Faults(noise=5.0)}):
+        evaluate_run(run, 2, 5, **other)
+    assert len(run.evaluations()) == 2
+    assert run.evaluation() is None
+    evaluate_run(run, 2, 5)
+    assert run.evaluation().attrs == {"layouts": "test", "episodes": 2, "max_steps": 5}
+    assert run.behaviour_file() == run.path / "behaviour-test-2-5.parquet"
+
+
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_the_evaluation_that_is_read_first_is_the_one_that_a_run_has_by_default(task):
     assert usual(task) == Protocol("test", 200, TASKS[task].limit(10_000))

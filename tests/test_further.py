@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from runs_by_hand import rows, write_run
+from runs_by_hand import rows, two, write_run
 from scipy import special
 
 from uavnav import stats, studies
@@ -48,6 +48,7 @@ def test_who_leads_is_chosen_on_validation_layouts_and_its_lead_is_of_test_layou
     half = 2.306 * np.sqrt(2.5 / 5 + 2.5 / 5)  # t of 8 degrees of freedom
     assert leader["lead_high"] - leader["lead"] == pytest.approx(half, abs=1e-3)
     assert (leader["gap"], leader["above"], leader["scripted"]) == (0.0, 2, 24.0)
+    assert longer.figure(table.query("layouts == 'validation'")).alt.endswith("no data.")
 
 
 def test_a_gain_is_seed_by_seed_over_the_length_before():
@@ -110,6 +111,9 @@ def test_what_training_with_noise_gains_is_over_training_without_it_under_the_sa
 def test_folders_without_these_studies_have_no_tables(tmp_path):
     assert [study.gather([tmp_path]) for study in (ambiguities, activations, learned)] == [({}, [])] * 3
     assert [evaluations([tmp_path], study.STUDY) for study in (longer, noise, horizon)] == [([], [])] * 3
+    write_run(tmp_path / "ambiguities/screen/00/dqn/tanh", two(0, 1.0), meta={"status": "running"})
+    tables, (line,) = ambiguities.gather([tmp_path])
+    assert (tables, "screen/00/dqn/tanh: the run is not finished" in line) == ({}, True)
 
 
 def test_scripted_policies_without_a_run_are_no_study(tmp_path):
@@ -336,6 +340,10 @@ def test_what_a_horizon_gains_is_over_gamma_099_after_as_many_frames_and_steps()
     assert table["verdict"].tolist() == ["–", "more", "–"]
     assert table.loc[(20, 0.998), "survive"] == pytest.approx(60)
     assert "gamma 0.998: 90" in horizon.figure(table.reset_index()).alt
+    six = pd.concat(
+        [table.reset_index().assign(gamma=gamma) for gamma in (0.9, 0.95, 0.98, 0.99, 0.995, 0.998)]
+    )
+    assert "gamma 0.95: 90" in horizon.figure(six).alt
 
 
 def test_a_learned_policy_is_ahead_where_its_whole_interval_is_above_the_best_scripted_one(tmp_path):

@@ -1,6 +1,7 @@
 """A report on one's own runs: who is in it, how they are ranked, what is typical, and where it goes."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,30 @@ def test_damaged_episodes_of_scripted_policies_and_people_are_named_and_stop_not
     lines = [line for line in found.left_out if "baselines" in line]
     assert len(lines) == 2
     assert all("delete it" in line for line in lines)
+
+
+@pytest.mark.usefixtures("brief")
+def test_scripted_episodes_that_cannot_be_kept_are_ranked_and_their_file_is_named(runs, tmp_path):
+    shutil.rmtree(runs / "baselines")
+    put(tmp_path / "out" / "baselines", "no folder")
+    found = mine.gather(collect([runs])[0], {}, [runs], tmp_path / "out", lambda _: None)
+    assert found.groups[0].scripted is not None
+    assert any("out/baselines" in line for line in found.left_out)
+
+
+@pytest.mark.usefixtures("brief")
+def test_people_are_ranked_with_runs_of_their_reward_alone_and_no_run_has_their_name(tmp_path):
+    for name, more in (("you", {}), ("first", {"reward": "initial"})):
+        meta = OWN | {"beyond_preset": more}
+        write_run(tmp_path / name, two(0, 0.0), evaluation=flown(1.0, 2.0), meta=meta, **more)
+    rewards = flown(3.0).query("mode == 'sampled'").drop(columns="mode").reset_index(drop=True)
+    (tmp_path / "baselines").mkdir()
+    write_table(tmp_path / "baselines" / "human.parquet", rewards)
+    found = mine.gather(collect([tmp_path])[0], {}, [tmp_path], tmp_path, lambda _: None)
+    assert sorted(sorted(one.name for one in group.contenders) for group in found.groups) == [
+        [str(tmp_path / "you"), "you"],
+        ["first"],
+    ]
 
 
 def test_an_interval_is_over_seeds_where_there_are_several_and_else_over_episodes():

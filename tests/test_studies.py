@@ -112,6 +112,22 @@ def test_configurations_of_such_a_study_change_nothing_are_baseline_and_those_th
     assert in_none(sort(in_many())) == []
 
 
+def test_runs_that_no_study_takes_are_named_where_the_main_one_lacks_their_algorithm_too():
+    dqn = grid(("dqn",), study="paper", **IN_ONE)
+    for number, one in enumerate(dqn):
+        one.runs[0].path = f"results/{number}"
+    assert in_none(sort([*in_many("ppo"), *dqn])) == [f"results/{number}: in no study" for number in range(4)]
+
+
+def test_of_two_rewards_the_usual_one_is_the_presets():
+    of_paper, first = (
+        configuration(study="initial", reward=reward, **SHORT) for reward in ("eq14", "initial")
+    )
+    first.runs[0].meta |= {"beyond_preset": {"reward": "initial"}}
+    found = sort([first, of_paper])
+    assert (found.baseline, found.initial) == ({("ppo", "tanh"): of_paper}, {("ppo", "tanh"): first})
+
+
 def test_the_second_of_two_configurations_for_one_place_is_among_the_others():
     twin = configuration(study="vectorised", lr=0.5)
     assert sort([*in_many(), twin]).others == [twin]

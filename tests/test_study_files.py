@@ -445,6 +445,16 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings_and
             "draw: there is no key 'gama'; did you mean gamma?",
         ),
         (
+            "draw: {draws: 2, nearest: 1, screen: {algorithm: dqn, dqn: 3}, choices: {gamma: [1]}}\n"
+            "configurations: [{algorithm: ppo}]",
+            "draw: dqn=3; give keys and values",
+        ),
+        (
+            "draw: {draws: 2, nearest: 1, screen: {algorithm: [[dqn]]}, choices: {gamma: [1]}}\n"
+            "configurations: [{algorithm: ppo}]",
+            "draw: algorithm=[['dqn']]; give a name, or a list of some",
+        ),
+        (
             "scripted_folder: [random]\nconfigurations: [{algorithm: ppo}]",
             "scripted_folder=['random']; give a folder's name, such as baselines",
         ),

@@ -349,6 +349,10 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
             "tune: settings: evaluate=false; a trial is",
         ),
         (
+            ("evaluate: {episodes: 5, max_steps: 50}", "dqn: 3"),
+            "tune: dqn=3; give keys and values",
+        ),
+        (
             ("{seed: 100, ", "{seed: 1, "),
             "tune: ppo: seed=1 is of trials and of what they are compared in; give",
         ),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from bad_input import put
 from runs_by_hand import rows, two, write_run
 
 from uavnav import evaluation
@@ -23,8 +24,8 @@ from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import USUAL
 
-NOTHING = {}, {}, pd.DataFrame(), []
-"""Of scripted policies, rungs, runs and what was left out."""
+NOTHING = {}, {}, pd.DataFrame()
+"""Of scripted policies, rungs and runs."""
 
 
 def seeds(reward, **more):
@@ -32,7 +33,11 @@ def seeds(reward, **more):
 
 
 def test_a_folder_without_the_study_has_no_section(tmp_path):
-    assert worlds.gather([tmp_path]) is None
+    assert worlds.gather([tmp_path]) == (None, [])
+    put(tmp_path / "worlds" / "ppo" / "tanh" / "config.yaml", "algorithm: ppo")
+    found, (line,) = worlds.gather([tmp_path])
+    assert found is None
+    assert "worlds/ppo/tanh" in line
 
 
 def test_runs_below_a_folder_worlds_are_the_study_and_a_run_of_that_name_is_a_run(tmp_path):
@@ -259,7 +264,7 @@ def test_a_task_lacks_scripted_policies_whose_rows_are_missing_and_nobody_flies(
         pd.concat(modes).to_parquet(path / f"evaluation-test-200-{limit}.parquet")
         (path / "episodes.parquet").unlink()  # training's, which a repository may leave out
     keep(tmp_path / "worlds" / "baselines", "straight", reward=4.0)
-    found = worlds.gather([tmp_path])
+    found, left_out = worlds.gather([tmp_path])
     assert [*found.scripted] == [("goal", "straight")]
     assert found.scripted["goal", "straight"]["reward"].tolist() == [4.0]
     assert found.seeds["goal", "dqn", "tanh"][["reward", "greedy"]].to_numpy().tolist() == [
@@ -267,7 +272,7 @@ def test_a_task_lacks_scripted_policies_whose_rows_are_missing_and_nobody_flies(
         [2.5, 5.0],
     ]
     home = tmp_path / "worlds" / "baselines"
-    assert found.left_out == [
+    assert left_out == [
         f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight "
         "reactive"
         f" --max-steps 2000 --seeds 10 --out {home}",
@@ -293,11 +298,11 @@ def test_scripted_policies_of_a_rung_are_read_from_its_own_rows_and_a_run_tells_
         own = rows(0, (10, 10, 1, 1, 5, 50, 100.0 - rung))
         own.attrs = {"layouts": f"density-{rung}/test", "episodes": 200, "max_steps": 2000}
         own.to_parquet(home / f"reactive-density-{rung}-test-200-2000.parquet")
-    found = worlds.gather([tmp_path])
+    found, left_out = worlds.gather([tmp_path])
     assert {rung for _, rung in found.rungs} == {*LADDERS["density"].rungs}
     scripted = {rung: own["reactive"]["reward"].tolist() for (_, rung), own in found.rungs.items() if own}
     assert scripted == {0: [100.0], 4: [96.0]}
-    assert sum("--layouts density-" in line for line in found.left_out) == 11
+    assert sum("--layouts density-" in line for line in left_out) == 11
     (made,) = found.runs.to_dict("records")
     told = {
         "run": str(path),

@@ -36,9 +36,11 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
 
     draws: all draws, the nearest first, with their settings; ambiguities: the nearest, a row a part.
     """
+    left_out: list[str] = []
     for home in apart(folders, STUDY):
-        screened, left_out = draws.runs_of(home / draws.SCREEN)
-        further, unread = draws.runs_of(home / draws.NEAREST)
+        screened, unread = draws.runs_of(home / draws.SCREEN)
+        further, unread_too = draws.runs_of(home / draws.NEAREST)
+        left_out += [*unread, *unread_too]
         if not screened:
             continue
         near, seeds = draws.distances(draws.by_draw(screened)), draws.by_draw(further)
@@ -57,8 +59,8 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
             for row in table.to_dict("records")
         ]
         tables |= {STUDY: pd.DataFrame(rows)} if rows else {}
-        return tables, [*left_out, *unread]
-    return {}, []
+        return tables, left_out
+    return {}, left_out
 
 
 @columns(*COLUMNS)

@@ -25,6 +25,7 @@ from uavnav.runs.evaluations import Protocol
 from uavnav.runs.lately import sparkline
 from uavnav.runs.metrics import EVALUATED, METRICS, own, per_seed
 from uavnav.runs.tables import RunError, read_table
+from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.protocol import SCRIPTED
 from uavnav.tasks.world import World
 
@@ -43,7 +44,7 @@ class Contender(NamedTuple):
     name: str
     episodes: pd.DataFrame  # one row a test episode
     protocol: Mapping[str, Any]  # how they were evaluated
-    place: Mapping[str, Any]  # and where: `task`, `reward` and fields of the world
+    place: Mapping[str, Any]  # and where: `task`, `reward`, fields of the world, and faults
     configuration: Configuration | None  # a run's training; None for what was not trained here
     pilot: str = ""  # an algorithm's or a scripted policy's name, for its colour
 
@@ -98,18 +99,20 @@ def _kept(name: str, protocol: Mapping[str, Any], run: str | None) -> Contender 
     if name not in SCRIPTED or run is None or protocol != Protocol().header():
         return None
     path = Path(run).absolute() / "config.yaml"
-    if read_settings(path).get("task", "drone") != "drone":
+    settings = read_settings(path)
+    if settings.get("task", "drone") != "drone" or any((settings.get("faults") or {}).values()):
         return None
     for file in (folder / "baselines" / f"{name}.parquet" for folder in path.parents):
         if file.exists():
             rows = read_table(file, EVALUATED, "evaluate it again")
-            place = _place("drone", "eq14", World().model_dump())
+            place = _place("drone", "eq14", World().model_dump(), NO_FAULTS.model_dump())
             return Contender(name, rows, protocol, place, None, name)
     return None
 
 
-def _place(task: str, reward: str, world: Mapping[str, Any]) -> dict[str, Any]:
-    return {"task": task, "reward": reward} | {name: world[name] for name in world if name not in SENSES}
+def _place(task: str, reward: str, world: Mapping[str, Any], faults: Mapping[str, Any]) -> dict[str, Any]:
+    own = {name: world[name] for name in world if name not in SENSES}
+    return {"task": task, "reward": reward} | own | {f"faults.{name}": faults[name] for name in faults}
 
 
 def _is_policy(name: str) -> bool:
@@ -134,8 +137,11 @@ def _of_run(name: str, shield: bool = False, **asked: Any) -> Contender:
 def trained(name: str, configuration: Configuration, rows: pd.DataFrame | None) -> Contender:
     """A run with its sampled test episodes, if it has any, and how they were evaluated."""
     own = configuration.settings
-    world = {key.removeprefix("world."): value for key, value in own.items() if key.startswith("world.")}
-    place = _place(own["task"], own["reward"], world)
+    world, faults = (
+        {key.removeprefix(part): value for key, value in own.items() if key.startswith(part)}
+        for part in ("world.", "faults.")
+    )
+    place = _place(own["task"], own["reward"], world, faults)
     protocol: dict[Any, Any] = {}
     sampled = configurations.EMPTY
     if rows is not None:
@@ -154,7 +160,7 @@ def fly(
     who = across.of_policy(name, activation).as_trained()._replace(shield=shield)
     task = on(who.task or _scripted(run), **protocol)
     rows = who.fly(task, f"on {protocol['layouts']}", quiet=False, measure=None).drop(columns="mode")
-    place = _place(name_of(task), task.reward, task.world.model_dump())
+    place = _place(name_of(task), task.reward, task.world.model_dump(), task.faults.model_dump())
     return Contender(f"{name}, shielded" if shield else name, rows, protocol, place, None, who.kind)
 
 

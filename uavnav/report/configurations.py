@@ -138,8 +138,8 @@ def read(path: Path) -> Configuration:
         raise RunError(f"{path / 'config.yaml'}: {lacks}; not a run of this package")
     for key in ("layouts", "versions", "beyond_preset"):
         run.meta.setdefault(key, {})
-    evaluation = run.evaluation()
-    run.meta["evaluation"] = "none" if evaluation is None else _protocol(run, evaluation)
+    file, evaluation = run.evaluated() or ("", None)
+    run.meta["evaluation"] = "none" if evaluation is None else _protocol(run, file, evaluation)
     return Configuration(
         run.algorithm,
         run.config["activation"],
@@ -150,13 +150,13 @@ def read(path: Path) -> Configuration:
     )
 
 
-def _protocol(run: Run, rows: pd.DataFrame) -> str:
+def _protocol(run: Run, file: str, rows: pd.DataFrame) -> str:
     """Which evaluation was read: its file, layouts and time limit; and which files were not."""
     cut = rows.loc[rows["truncated"], "steps"]
     limit = rows.attrs.get("max_steps", cut.max() if len(cut) else "not known")
     layouts = rows.attrs.get("layouts", "not known")
-    own, *others = (path.name for path in run.evaluations())
-    read = f"{own}, {rows['layout'].nunique()} layouts ({layouts}), at most {show(limit)} steps"
+    others = [path.name for path in run.evaluations() if path.name != file]
+    read = f"{file}, {rows['layout'].nunique()} layouts ({layouts}), at most {show(limit)} steps"
     return read + (f"; not read: {', '.join(others)}" if others else "")
 
 

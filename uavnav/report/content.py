@@ -239,11 +239,11 @@ def _apart(folders: Sequence[Path]) -> tuple[Worlds | None, dict[str, pd.DataFra
     for tables_of, unread in (one.gather(folders) for one in (ambiguities, activations, learned)):
         numbers |= tables_of
         left_out += unread
-    if of_worlds := worlds.gather(folders):
+    of_worlds, unread = worlds.gather(folders)
+    if of_worlds:
         places = worlds.summary(of_worlds)
         numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
-        left_out = [*of_worlds.left_out, *left_out]
-    return of_worlds, numbers, left_out
+    return of_worlds, numbers, [*unread, *left_out]
 
 
 def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, list[str]]:

@@ -531,8 +531,7 @@ def speed(configurations: Configurations) -> Rows:
     """Wall time of a million frames of one seed, by run."""
     for key, configuration in configurations.items():
         for run, took in zip(timed(configuration), hours(configuration), strict=True):
-            machine = run.meta.get("machine", {})
-            processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
+            processor = run.meta.get("machine", {}).get("processor", "not known")
             yield [name(*key), 3600 * took, len(run.seeds), processor]
 
 

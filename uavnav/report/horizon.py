@@ -7,6 +7,7 @@ hundred hardly count.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import matplotlib
 import numpy as np
@@ -56,7 +57,7 @@ def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     limits = [*found.groupby("limit")]
     drawn, grid = charts.panels(len(limits), len(limits) if width >= style.WIDTH else 1, 3.4, width)
     gammas = sorted(found["gamma"].unique())
-    looks = dict(zip(gammas, zip(colours(["ppo"] * len(gammas)), "os^Dv", strict=False), strict=False))
+    looks = dict(zip(gammas, zip(colours(["ppo"] * len(gammas)), cycle("os^Dv"), strict=False), strict=True))
     said = []
     for axes, (limit, panel) in zip(grid, limits, strict=True):
         for gamma, line in panel.groupby("gamma"):

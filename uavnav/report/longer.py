@@ -96,6 +96,8 @@ def trend(gain: stats.Interval, before: float) -> str:
 def figure(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward on test layouts by frames of training, a panel an algorithm with its settings."""
     shown = found[(found["layouts"] == "test") & (found["limit"] == MAX_STEPS)]
+    if shown.empty:
+        return style.nothing("Reward on test layouts")
     panels = [*shown.groupby(["algorithm", "settings"], sort=False)]
     columns, said = 3 if width >= style.WIDTH else 2, []
     drawn, grid = charts.panels(len(panels), columns, 2.3, width, sharex=True, sharey=True)

@@ -105,8 +105,11 @@ def gather(
     groups: list[Group] = []
     damaged: list[str] = []
     for place, members in enumerate(_alike(contenders)):
-        scripted = _scripted(members[0], paths[members[0].name], [*folders, out], damaged)
-        people = _by_hand(members[0], [*folders, out], damaged)
+        run, there = paths[members[0].name], [*folders, out]
+        beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
+        plain = not {"world", "reward", "faults"} & beyond
+        scripted = _scripted(members[0], run, plain, there, damaged)
+        people = _by_hand(members[0], there, damaged) if plain else []
         groups.append(_group([*members, *people], scripted, status, looks, place))
     tell("flying a typical episode of each run")
     recorded, left_out = _typical(contenders, looks)
@@ -175,7 +178,8 @@ def _names(paths: Sequence[Path], folders: Sequence[Path]) -> list[str]:
     for path in paths:
         folder = next(one for one in folders if path.is_relative_to(one))
         short.append(str(path.relative_to(folder)) if path != folder else path.name)
-    return [name if short.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
+    taken = [*short, YOU, REACTIVE]
+    return [name if taken.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
 
 
 def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
@@ -248,25 +252,31 @@ def _kept(folders: Sequence[Path], name: str, damaged: list[str]) -> pd.DataFram
     return None
 
 
-def _scripted(first: Contender, run: Path, folders: Sequence[Path], damaged: list[str]) -> Contender | None:
-    """The scripted policy's episodes on a run's layouts, kept or new; None where it cannot."""
+def _scripted(
+    first: Contender, run: Path, plain: bool, folders: Sequence[Path], damaged: list[str]
+) -> Contender | None:
+    """The scripted policy's episodes on a run's layouts, kept or new; None where it cannot.
+
+    plain: the run's task is as its name has it, so that episodes are kept for others.
+    """
     protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
     layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
     name = Protocol(layouts, episodes, limit, None, task).file(REACTIVE)
-    beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
-    plain = not {"world", "reward", "faults"} & beyond
     if plain and (rows := _kept(folders, name, damaged)) is not None:
         return Contender(REACTIVE, rows, protocol, first.place, None, REACTIVE)
     try:
         evaluated = compare.fly(REACTIVE, protocol, None, str(run))
-        if plain:
-            rows = evaluated.episodes.copy()
-            rows.attrs = {str(key): value for key, value in protocol.items()}
-            (folders[-1] / "baselines").mkdir(parents=True, exist_ok=True)
-            write_table(folders[-1] / "baselines" / name, rows)
-        return evaluated
     except (OneLineError, ValueError, OSError):
         return None
+    if plain:
+        rows, path = evaluated.episodes.copy(), folders[-1] / "baselines" / name
+        rows.attrs = {str(key): value for key, value in protocol.items()}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_table(path, rows)
+        except (RunError, OSError) as error:
+            damaged.append(str(error))
+    return evaluated
 
 
 def _by_hand(first: Contender, folders: Sequence[Path], damaged: list[str]) -> list[Contender]:

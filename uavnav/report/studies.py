@@ -93,9 +93,10 @@ def _usual(configurations: Sequence[Configuration]) -> Mapping[str, Any]:
     """An algorithm's settings in the study `vectorised`, or else its most frequent ones."""
     named = [one for one in configurations if PLACES.get(one.study) == "vectorised"] or configurations
 
-    def how_often(configuration: Configuration) -> tuple[int, int, str]:
+    def how_often(configuration: Configuration) -> tuple[int, int, int, str]:
         alike = [one for one in named if one.settings == configuration.settings]
-        return len(alike), sum(one.n_seeds for one in alike), str(configuration.settings)
+        beyond = len(configuration.runs[0].meta.get("beyond_preset", {}))
+        return len(alike), sum(one.n_seeds for one in alike), -beyond, str(configuration.settings)
 
     return max(named, key=how_often).settings
 
@@ -119,14 +120,13 @@ def _place(studies: Studies, configuration: Configuration, usual: Mapping[str, A
 
 def in_none(studies: Studies) -> list[str]:
     """One line for each run that is in no study, with how its settings differ from the main study's."""
-    lines, usual = [], studies.main | studies.vectorised
+    lines, placed = [], [*studies.main.items(), *studies.vectorised.items(), *studies.baseline.items()]
     for configuration in studies.others:
-        nearest = next(one.settings for key, one in usual.items() if key[0] == configuration.algorithm)
-        changes = sorted(differing([configuration.settings, nearest]))
+        usual = [one.settings for key, one in placed if key[0] == configuration.algorithm]
+        changes = sorted(differing([configuration.settings, *usual[:1]]))
         how = ", ".join(f"{key}={show(configuration.settings.get(key)):.20}" for key in changes)
-        lines += [
-            f"{run.path}: in no study; it differs from the main one in {how}" for run in configuration.runs
-        ]
+        differs = f"; it differs from the main one in {how}" if usual else ""
+        lines += [f"{run.path}: in no study{differs}" for run in configuration.runs]
     return lines
 
 

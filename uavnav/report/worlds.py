@@ -51,11 +51,13 @@ class Worlds(NamedTuple):
     # ladder and rung -> the same of the scripted policies there
     rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]
     runs: pd.DataFrame  # how each run was made, a row a run
-    left_out: list[str]
 
 
-def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in a report's folders, and scripted policies' rows in its tasks; None without one."""
+def gather(folders: Sequence[Path]) -> tuple[Worlds | None, list[str]]:
+    """Read the study in a report's folders, and scripted policies' rows in its tasks; None without one.
+
+    Also a line for each run and table that is of no use.
+    """
     homes = apart(folders, "worlds")
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
@@ -79,10 +81,12 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
             who = {"run": str(path), "task": task, "algorithm": run.algorithm, "activation": key[-1]}
             made.append({**who, "seeds": len(run.seeds), **facts, **(run.meta.get("machine") or {})})
-        except (RunError, KeyError) as error:
+        except RunError as error:
             left_out.append(str(error))
+        except KeyError as error:
+            left_out.append(f"{path}: its config.yaml has no {error}")
     if not seeds:
-        return None
+        return None, left_out
 
     def by_number(name: str) -> tuple[object, ...]:  # density-4 comes before density-16
         words, _, number = name.partition("-")
@@ -94,7 +98,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     in_order = sorted(places, key=by_number)
     seeds = {key: seeds[key] for key in sorted(seeds, key=rank)}
     scripted, rungs, lines = _of_scripted([home / "baselines" for home in homes], in_order, places, seeds)
-    return Worlds(seeds, scripted, rungs, pd.DataFrame(made), [*left_out, *lines])
+    return Worlds(seeds, scripted, rungs, pd.DataFrame(made)), [*left_out, *lines]
 
 
 def _of_scripted(

@@ -50,6 +50,11 @@ EVALUATION = "evaluation.parquet"
 BEHAVIOUR = "behaviour.parquet"
 ARENA = "arena.parquet"
 VALUES = "values.parquet"
+OTHERWISE = {
+    "faults",
+    "at",
+    "shield",
+}  # keys of an evaluation's header where policies flew not as in training
 POLICY = "policy.safetensors"
 KEPT = "policy-at-"
 """Begins the names of policies that were kept on the way."""
@@ -101,7 +106,7 @@ class Meta(Facts):
     processes: Annotated[int, Field(ge=1, le=MOST_SEEDS)] = 1
     versions: dict[str, str | None] = Field(default_factory=dict)
     layouts: dict[str, str | int | None] = Field(default_factory=dict)
-    machine: dict[str, Any] | str = Field(default_factory=dict)
+    machine: dict[str, Any] = Field(default_factory=dict)
     plugins: dict[str, str] = Field(default_factory=dict)
     beyond_preset: dict[str, Any] = Field(default_factory=dict)
     lately: Lately = NOTHING
@@ -183,14 +188,22 @@ class Run:
         paths = (self.path / name for name in dict.fromkeys([own, EVALUATION, *others]))
         return [path for path in paths if os.path.lexists(path)]
 
+    def evaluated(self) -> tuple[str, pd.DataFrame] | None:
+        """The first of `evaluations` that flew as in training: its file's name, and its rows and modes."""
+        for path in self.evaluations():
+            rows = self._table(path.name, EVALUATED | {"mode": "object"})
+            if not rows.attrs.keys() & OTHERWISE:
+                return path.name, rows
+        return None
+
     def evaluation(self) -> pd.DataFrame | None:
-        """The rows of the first of `evaluations`, with their mode; None where it was not evaluated."""
-        there = self.evaluations()
-        return self._table(there[0].name, EVALUATED | {"mode": "object"}) if there else None
+        """The rows of `evaluated`; None where there are none."""
+        found = self.evaluated()
+        return None if found is None else found[1]
 
     def behaviour_file(self) -> Path:
         """The watched steps that belong to `evaluation`."""
-        name = next((path.name for path in self.evaluations()), EVALUATION)
+        name, _ = self.evaluated() or (EVALUATION, None)
         return self.path / name.replace(Path(EVALUATION).stem, Path(BEHAVIOUR).stem, 1)
 
     def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:

@@ -138,14 +138,10 @@ def _study(name: str, said: Any) -> Study:
     for entry in entries:
         if not isinstance(entry, dict) or "algorithm" not in entry:
             raise ConfigError(f"{entry}: is no configuration; it needs at least an `algorithm`")
-        named = algorithms(entry)
-        if not named or not all(isinstance(one, str) for one in named):
-            raise ConfigError(f"algorithm={entry['algorithm']}; give a name, or a list of some")
+        algorithms(entry)
     settings, home = said.get("settings", {}), said.get("scripted_folder")
     for part in (settings, *entries):
         check_settings("settings", part)
-        for algorithm in ALGORITHMS:
-            check_settings(algorithm, part.get(algorithm, {}))
     for key, example in (("tune", "tuning"), ("draw", "ambiguities")):
         if said.get(key) is not None and not isinstance(said[key], dict):
             raise ConfigError(
@@ -181,15 +177,20 @@ def only(study: Study, chosen: str | None) -> Study:
 
 
 def check_settings(name: str, said: Any) -> None:
-    """Raise a ConfigError where settings are no table of names."""
+    """Raise a ConfigError where settings, or an algorithm's own among them, are no table of names."""
     if not isinstance(said, dict) or not all(isinstance(key, str) for key in said):
         raise ConfigError(f"{name}={said}; give keys and values")
+    for algorithm in said.keys() & ALGORITHMS.keys():
+        check_settings(algorithm, said[algorithm])
 
 
 def algorithms(configuration: Mapping[str, Any]) -> list[str]:
-    """Those of an entry of `configurations`."""
+    """Those of an entry of `configurations`; raises a ConfigError where it names none."""
     named = configuration["algorithm"]
-    return named if isinstance(named, list) else [named]
+    found = named if isinstance(named, list) else [named]
+    if not found or not all(isinstance(one, str) for one in found):
+        raise ConfigError(f"algorithm={named}; give a name, or a list of some")
+    return found
 
 
 def configurations(study: Study, out: Path) -> list[Configuration]:

@@ -122,6 +122,7 @@ def plan(study: Study, out: Path, n: int | None = None) -> Plan | None:
 
 def _check(study: Study, said: Mapping[str, Any]) -> None:
     check_keys(said, KEYS, "ambiguities")
+    studies.check_settings("screen", said["screen"])
     known: set[str] = set()
     for entry in ({"algorithm": ""} | said["screen"], *study.configurations):
         for name in studies.algorithms(entry):

@@ -331,6 +331,7 @@ class Runner:
             -(-config.n_seeds // self.per_worker) if self.per_worker else machine.processes(config)
         )
         with machine.use_threads(machine.threads(config, n)), own:
+            own.meta |= {"study": configuration.study}
             own.note(processes=n)
         work.workers = workers.split(config, configuration.out, n)
         for worker in work.workers:

@@ -19,6 +19,7 @@ from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import worker
 from uavnav.evaluation import Protocol
 from uavnav.evaluation.verify import _parting as parting
+from uavnav.report import mine
 from uavnav.runs import PROGRESS, STOP, Run, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Configuration, run
@@ -118,7 +119,8 @@ def study(tmp_path, warm):
     def carry_out(engine, config=CONFIG, evaluations=(FLOWN,), **how):
         engines.append(engine)
         said = []
-        configuration = Configuration(config, tmp_path / "out" / "ppo" / "tanh", evaluations)
+        out = tmp_path / "out" / "ppo" / "tanh"
+        configuration = Configuration(config, out, evaluations, study="theirs")
         failed = Runner(tmp_path / "out", [configuration], engine, say=said.append, **how).run()
         return failed, said
 
@@ -333,6 +335,7 @@ def test_a_study_that_is_stopped_asks_workers_that_train_to_save_and_waits_for_n
     with pytest.raises(Interrupted, match="stopped by SIGTERM"):
         study(Busy(), tell=lambda works: os.kill(os.getpid(), signal.SIGTERM))
     assert len([*tmp_path.rglob(STOP)]) == missing
+    assert mine.unfinished([tmp_path]) == {}  # it is the study's
 
 
 def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatch):

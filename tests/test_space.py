@@ -126,18 +126,22 @@ def test_the_100_actions_ask_for_five_yaws_five_pitches_and_four_distances():
     assert len({*map(tuple, found)}) == SpaceWorld().n_actions == 100
 
 
-def test_it_begins_level_at_the_centre_its_pitch_stops_at_45_and_asking_for_more_is_a_penalised_turn():
+@pytest.mark.parametrize(("asks", "up"), [(2 * 4, 1), (4 * 4, -1)])
+def test_it_begins_level_at_the_centre_its_pitch_stops_at_45_and_asking_for_more_is_a_penalised_turn(
+    asks, up
+):
     task = make_task(torch.empty(1, 0, 4), task="space")
     state = task.start(torch.tensor(0), torch.tensor(90))
     assert (state.x, state.y, state.z, state.heading, state.pitch) == (400, 300, 300, 90, 0)
     for n in range(1, 15):
-        state, outcome = task.step(state, torch.tensor(2 * 4))
-        assert (state.pitch.item(), state.turns.item()) == (min(4 * n, 45), n)
+        state, outcome = task.step(state, torch.tensor(asks))
+        assert (state.pitch.item(), state.turns.item()) == (up * min(4 * n, 45), n)
         assert outcome.reward.item() == -0.01
     state, outcome = task.step(state, torch.tensor(3))
-    assert (state.pitch.item(), state.turns.item()) == (45, 14)
+    assert (state.pitch.item(), state.turns.item()) == (up * 45, 14)
     assert outcome.reward.item() == pytest.approx(0.09)
-    assert (state.y.item(), state.z.item()) == pytest.approx((300 + 9 * math.sqrt(0.5),) * 2)
+    half = 9 * math.sqrt(0.5)
+    assert (state.y.item(), state.z.item()) == pytest.approx((300 + half, 300 + up * half))
 
 
 # -- layouts -------------------------------------------------------------------------------------------------

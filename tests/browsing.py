@@ -17,6 +17,11 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
 RESULTS = Path(__file__).parent.parent / "results"
+CONFIGURATIONS = [
+    f"{algorithm}/{activation}"
+    for algorithm in ("ppo", "dqn")
+    for activation in ("tanh", "sigmoid", "relu", "leaky_relu")
+]
 AXE = Path(axe_core_python.__file__).parent / "axe.min.js"
 WIDE, NARROW = 1280, 390  # [px]
 NAMES = ("chromium", "chromedriver")

@@ -78,15 +78,6 @@ def look(x, y, heading, circles, arena=PAPER):
     return found
 
 
-def distances(x, y, circles):
-    """From a place to the edge of every circle, then of every border square [px]."""
-    return [c[0] for c in look(x, y, 90, circles)]
-
-
-def clearance(x, y, circles):
-    return min(distances(x, y, circles))
-
-
 def in_view(found, arena=PAPER):
     """Which candidates are."""
     edge = arena.edge - BEHIND

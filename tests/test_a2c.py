@@ -6,13 +6,9 @@ import peers
 import pytest
 import stable_baselines3
 import torch
-from batches import rollout
-from torch.distributions import Categorical
-from torch.nn.utils import clip_grad_norm_
 
 import uavnav
-from uavnav.algorithms.a2c import A2CConfig, make_learner, make_loss, train
-from uavnav.algorithms.ppo import make_networks
+from uavnav.algorithms.a2c import A2CConfig, train
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
@@ -89,42 +85,6 @@ def test_one_update_of_a_rollout_from_sb3s_own_weights_equals_sb3s_train(activat
 
 
 # -- its settings and its runs -------------------------------------------------------------------------------
-
-
-def test_20_updates_of_2_agents_are_those_of_torchs_rmsprop_on_the_loss_by_hand():
-    """Every number that is not a default is written out here once more; the time limit is among the
-    gradients' norms.
-    """
-    config = A2CConfig(
-        n_seeds=2,
-        lr=3e-3,
-        rms_eps=1e-4,
-        max_grad_norm=0.7,
-        entropy_coeff=0.05,
-        critic_coeff=0.8,
-        hidden=(16,),
-    )
-    policy, value = make_networks(config)
-    learner = make_learner(make_loss(policy, value, config), config, compile=False)
-    batches = rollout(2, 20, 40)
-    found = learner.learn(batches)
-    for agent in range(2):
-        own_policy, own_value = make_networks(A2CConfig(seed=agent, hidden=(16,)))
-        parameters = [*own_policy.parameters(), *own_value.parameters()]
-        optimiser, norms = torch.optim.RMSprop(parameters, lr=3e-3, alpha=0.99, eps=1e-4), []
-        for batch in batches[agent : agent + 1].unbind(1):
-            distribution = Categorical(logits=own_policy(batch["observation"]))
-            objective = (distribution.log_prob(batch["action"]) * batch["advantage"][..., 0]).mean()
-            error = (own_value(batch["observation"]) - batch["value_target"]).square().mean()
-            optimiser.zero_grad()
-            (-objective + 0.8 * error - 0.05 * distribution.entropy().mean()).backward()
-            norms.append(clip_grad_norm_(parameters, 0.7).item())
-            optimiser.step()
-        assert min(norms) < 0.7 < max(norms)
-        assert found["grad_norm"][agent].item() == pytest.approx(sum(norms) / 20, rel=1e-4)
-        for network, own in ((policy, own_policy), (value, own_value)):
-            for ours, theirs in zip(network.parameters(), own.parameters(), strict=True):
-                torch.testing.assert_close(ours[agent], theirs[0], **CLOSE)
 
 
 def test_a_row_of_progress_comes_with_the_first_rollout_past_each_2_000_frames_and_with_the_last(tmp_path):

@@ -5,6 +5,7 @@ dueling run.
 import numpy as np
 import pytest
 import torch
+from batches import transitions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
@@ -24,19 +25,11 @@ from uavnav.tasks.rewards import BOUNDS, REWARDS
 SMALL = {"hidden": (8,), "n_atoms": 7, "activation": "relu"}
 
 
-def transitions(*shape, dtype=torch.float64, seed=0):
-    """Made-up transitions with rewards far beyond the support; a quarter of them end in a collision."""
-    g = torch.Generator().manual_seed(seed)
-    following = {
-        "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
-        "reward": 6 * torch.randn(*shape, 1, generator=g, dtype=dtype),
-        "terminated": torch.rand(*shape, 1, generator=g) < 0.25,
-    }
-    following["done"] = following["terminated"]
-    batch = TensorDict(
-        {"action": torch.randint(100, shape, generator=g), "next": TensorDict(following, shape)}, shape
-    )
-    return batch.set("observation", torch.rand(*shape, 30, generator=g, dtype=dtype))
+def far(*shape, dtype=torch.float64):
+    """Made-up transitions with rewards far beyond the support."""
+    batch = transitions(*shape, dtype=dtype)
+    batch["next", "reward"] *= 6
+    return batch
 
 
 def made(config):
@@ -106,7 +99,7 @@ def test_the_loss_of_each_row_is_the_cross_entropy_by_hand(double, dueling):
     config = C51Config(**SMALL, gamma=0.9, n_steps=2, max_steps=9, double=double, dueling=dueling)
     network, other, loss = made(config)
     steps = torch.arange(40).reshape(1, 40, 1) % 2 + 1
-    batch = transitions(1, 40).set("steps_to_next_obs", steps)
+    batch = far(1, 40).set("steps_to_next_obs", steps)
     atoms = np.linspace(-10, 0.09 / (1 - 0.9), 7)
 
     def distributions(one, observation):
@@ -133,7 +126,7 @@ def test_for_one_agent_it_is_torchrls_own_loss_and_gradient():
     """Theirs is always double, wants float32 and [rows, atoms, actions]."""
     config = C51Config(**SMALL, gamma=0.9, double=True)
     network, _, ours = made(config)
-    batch = transitions(1, 200, dtype=torch.float32)
+    batch = far(1, 200, dtype=torch.float32)
     ours = ours.float()
 
     def logits(observation):
@@ -173,7 +166,7 @@ def test_for_one_agent_it_is_torchrls_own_loss_and_gradient():
 
 def test_a_target_of_fewer_steps_has_another_gradient():
     config = C51Config(**SMALL, n_steps=5, max_steps=9, dueling=True)
-    batch, loss = transitions(1, 16), made(config)[2]
+    batch, loss = far(1, 16), made(config)[2]
     own, later = (
         torch.autograd.grad(
             loss(batch.clone().set("steps_to_next_obs", torch.full((1, 16, 1), steps)))["loss"].mean(),

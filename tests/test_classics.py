@@ -4,6 +4,7 @@ import math
 from functools import partial
 
 import numpy as np
+import oracle
 import pytest
 import torch
 
@@ -31,12 +32,6 @@ def unit(degrees):
     return np.array([-math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
 
 
-def turns(action):
-    """The turn and the distance of an action of the paper, eqs (11) and (12)."""
-    turn, distance = divmod(action, 10)
-    return turn if turn <= 5 else turn - 10, distance
-
-
 def slots_of(row):
     """The filled slots of an observation: direction and distance [px]."""
     return [(np.array(one[:2]), 30 + 90 * one[2]) for one in row[:30].view(10, 3).tolist() if any(one[:2])]
@@ -45,7 +40,7 @@ def slots_of(row):
 def test_it_steers_by_the_action_whose_displacement_is_nearest_to_the_wanted_one():
     wanted = 12 * torch.rand(200, 2, generator=torch.Generator().manual_seed(0)) - torch.tensor([6, 0])
     for want, action in zip(wanted.numpy(), sensed.steer(wanted, WORLD).tolist(), strict=True):
-        off = [np.linalg.norm(d * unit(turn) - want) for turn, d in map(turns, range(100))]
+        off = [np.linalg.norm(d * unit(turn) - want) for turn, d in map(oracle.decode, range(100))]
         assert off[action] == pytest.approx(min(off), abs=1e-5)
     behind = torch.tensor([[1.0, -5.0], [-1.0, -5.0]])
     assert sensed.steer(behind, WORLD).tolist() == [60, 50]  # on the spot, as far as it goes: 4 or 5 degrees
@@ -93,7 +88,7 @@ def test_the_histogram_is_that_of_a_loop_over_sectors():
 def test_the_dynamic_window_takes_what_is_worth_most_of_what_can_touch_nothing_in_this_step():
     for row in observed("drone", 40):
         worth = np.full(100, -np.inf)
-        for action, (turn, distance) in enumerate(map(turns, range(100))):
+        for action, (turn, distance) in enumerate(map(oracle.decode, range(100))):
             slots = slots_of(row)
             if action == 0 or any(d - distance * (u @ unit(turn)) <= 30.01 for u, d in slots):
                 continue

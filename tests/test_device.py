@@ -2,10 +2,11 @@
 
 import pytest
 import torch
-from tensordict import TensorDict
+from batches import rollout, transitions
 
 from uavnav.acting import Actor
-from uavnav.algorithms import a2c, dqn, ppo, rollout, sac
+from uavnav.algorithms import a2c, dqn, ppo, sac
+from uavnav.algorithms.rollout import minibatches
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.table import make_task
@@ -42,26 +43,6 @@ def test_a_step_of_the_world_stays_on_its_device(meta, reward):
     assert {value.device.type for value in (*state, *outcome)} == {"meta"}
 
 
-def transitions(config):
-    """Rows [2, 4, 8] of what both losses need."""
-    shape = (2, 4, 8)
-    one = torch.rand(*shape, 1, device="meta")
-    following = TensorDict(
-        {
-            "observation": torch.rand(*shape, 30, device="meta"),
-            "reward": one,
-            "done": one > 0.5,
-            "terminated": one > 0.5,
-        },
-        shape,
-        device="meta",
-    )
-    named = {"action_log_prob": one[..., 0], "advantage": one, "value_target": one, "next": following}
-    observation = torch.rand(*shape, 30, device="meta")
-    action = torch.zeros(shape, dtype=torch.int64, device="meta")
-    return TensorDict({"observation": observation, "action": action, **named}, shape, device="meta")
-
-
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
     config, (_, poses) = ALGORITHMS[algorithm], meta
@@ -73,7 +54,8 @@ def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
         policy, other = (sac if algorithm == "sac" else ppo).make_networks(config)
         make_loss = {"ppo": ppo.PPOLoss, "a2c": a2c.make_loss, "sac": sac.SACLoss}[algorithm]
         loss = make_loss(policy, other, config).to("meta")
-    losses = module.make_learner(loss, config, compile=False).learn(transitions(config))
+    batch = rollout(2, 4, 8).update(transitions(2, 4, 8)).to("meta")
+    losses = module.make_learner(loss, config, compile=False).learn(batch)
     assert all(value.device.type == "meta" for value in losses.values())
     assert all(value.device.type == "meta" for value in probes.units(policy, poses).values())
 
@@ -102,8 +84,8 @@ def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
     batch = collected(env, Actor(policy, config.seeds, ppo.HOW.acts, ppo.HOW.head, compile=False), 8)
     assert batch.shape == (2, config.n_envs, 8)
     ppo.estimate(batch, policy, value, config)
-    minibatches = rollout.minibatches(batch, Streams(config.seeds, "minibatches"), 64, ppo.LEARNED)
-    losses = ppo.make_learner(loss, config, compile=False).learn(minibatches)
+    drawn = minibatches(batch, Streams(config.seeds, "minibatches"), 64, ppo.LEARNED)
+    losses = ppo.make_learner(loss, config, compile=False).learn(drawn)
     moved = ppo.diagnostics(batch, policy, config.clip_epsilon)
     found = [*batch.values(include_nested=True, leaves_only=True), *losses.values(), *moved.values()]
     assert {value.device.type for value in found} == {"meta"}

@@ -10,7 +10,6 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from tensordict import TensorDict
 
 from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_loss, make_network
-from uavnav.algorithms.replay import Replay
 from uavnav.tasks.seeding import Streams
 from uavnav.training.loop import make_collector, make_env
 
@@ -153,24 +152,6 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
     ):
         torch.testing.assert_close(value, sb3.detach(), rtol=1e-5, atol=1e-5)
         assert (value - first).abs().max() > 1e-3
-
-
-def test_rows_of_the_ring_keep_agent_and_world_together():
-    """Entry (agent 1, world 2) is 12 in every key."""
-    code = 10.0 * torch.arange(2)[:, None, None] + torch.arange(3)[None, :, None]
-    following = {
-        "observation": code[..., None].repeat(1, 1, 1, 30),
-        **dict.fromkeys(("reward", "done", "terminated"), code[..., None]),
-    }
-    batch = TensorDict(
-        {"observation": code[..., None].repeat(1, 1, 1, 30), "action": code.clone()}, [2, 3, 1]
-    )
-    batch["next"] = TensorDict(following, [2, 3, 1])
-    replay = Replay([0, 1], 3, 3, 30, keeps_next=True)
-    replay.extend(batch)
-    for world in range(3):
-        for agent in range(2):
-            assert set(replay.buffer[:][world, agent].tolist()) == {10 * agent + world}
 
 
 # -- its schedules -------------------------------------------------------------------------------------------

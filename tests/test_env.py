@@ -93,12 +93,12 @@ def test_torchrl_finds_no_fault_in_the_specs_of_three_batch_shapes(shape):
 # limit.
 @pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
 @pytest.mark.parametrize(("driver", "max_steps"), [(step_then_reset, None), (at_once, 40)])
-def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(
+def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_caps_and_the_last_of_7_layouts(
     all_layouts, driver, variant, max_steps
 ):
-    env = uavnav.DroneEnv([4], layouts=all_layouts, reward=variant, max_steps=max_steps, seeds=7)
+    env = uavnav.DroneEnv([4], layouts=all_layouts[:7], reward=variant, max_steps=max_steps, seeds=7)
     episodes = episodes_of(env, variant=variant)
-    collisions, limits, doubts = 0, 0, 0
+    collisions, limits, doubts, firsts = 0, 0, 0, 0
     actions = actions_of(env, 300)
     for action, (after, state, following) in zip(actions, drive(env, actions, driver), strict=True):
         places = state or env.state
@@ -112,6 +112,7 @@ def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(
             collisions, limits = collisions + episode.terminated, limits + episode.truncated
             if done:
                 episode.next_episode()
+                firsts += episode.layout == 0
                 close(following["observation"][row], sum(episode.slots, ()))
                 assert following["episode", "steps"][row] == 0
                 assert following["episode", "layout"][row] == episode.layout
@@ -120,26 +121,8 @@ def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(
             assert not following["done"][row]
     assert collisions >= 5
     assert (limits >= 5) == (max_steps is not None)
+    assert firsts >= 2
     assert doubts < 24  # of 1,200 poses, which an episode strings together
-
-
-def test_a_rollout_of_500_steps_equals_the_oracle_through_all_its_episodes(all_layouts):
-    env = uavnav.DroneEnv([3], layouts=all_layouts, seeds=11)
-    episodes = episodes_of(env)
-    actions = iter(actions_of(env, 500, seed=1))
-    rollout = env.rollout(500, lambda td: td.set("action", next(actions)), break_when_any_done=False)
-    assert rollout.shape == (3, 500)
-    doubts = 0
-    for row, episode in enumerate(episodes):
-        for now in rollout[row].unbind(0):
-            if not oracle.doubtful(episode.found):
-                close(now["observation"], sum(episode.slots, ()))
-            episode.step(now["action"].item())
-            doubts += judge(episode, now["next"][None], 0)
-            if episode.terminated:
-                episode.next_episode()
-    assert rollout["next", "terminated"].sum() >= 10
-    assert doubts < 30
 
 
 def same_rows(env, rows, other, actions):
@@ -150,14 +133,6 @@ def same_rows(env, rows, other, actions):
         assert (after[rows] == also).all()
         assert (now[rows] == then).all()
     assert all(torch.equal(a[rows], b) for a, b in zip(env.state, other.state, strict=True))
-
-
-def test_one_world_alone_is_world_0_of_16(all_layouts):
-    many, one = (
-        uavnav.DroneEnv([16], layouts=all_layouts, seeds=5),
-        uavnav.DroneEnv([1], layouts=all_layouts, seeds=5),
-    )
-    same_rows(many, slice(0, 1), one, actions_of(many, 200))
 
 
 def test_adding_worlds_up_to_64_keeps_the_places_of_the_earlier_ones():
@@ -196,40 +171,6 @@ def test_a_masked_reset_restarts_2_of_5_rows_and_leaves_the_others_bit_identical
     assert env.state.x[mask].tolist() == [400, 400]
 
 
-def test_after_an_episode_drone_is_at_centre_in_the_next_of_3_layouts_and_the_last_is_followed_by_the_first():
-    env = uavnav.DroneEnv([1], layouts=layouts.generate(3, 8, seed=1))
-    order = [env.state.layout.item()]
-    for after, _, following in drive(env, actions_of(env, 600)):
-        if after["done"]:
-            x, y, heading = env.state.x.item(), env.state.y.item(), env.state.heading.item()
-            assert (x, y, heading) == (400, 300, 90)
-            assert after["episode", "layout"].item() == order[-1]
-            order.append(following["episode", "layout"].item())
-    assert len(order) > 6
-    assert all(following == (earlier + 1) % 3 for earlier, following in itertools.pairwise(order))
-
-
-@pytest.mark.parametrize("driver", DRIVERS)
-def test_the_terminal_observation_is_of_the_contact_and_the_next_of_the_start_280_px_away(driver):
-    env = uavnav.DroneEnv([2], layouts=layouts.generate(2, 0), seeds=1)
-    *_, (after, _, following) = drive(env, [torch.tensor([STRAIGHT] * 2)] * 28, driver)
-    assert after["terminated"].all()
-    assert after["observation"].reshape(2, 10, 3)[:, 0].tolist() == [[0, 1, 0]] * 2
-    assert following["observation"].reshape(2, 10, 3).tolist() == [[[0, 0, 1]] * 10] * 2
-
-
-@pytest.mark.parametrize("distance", range(1, 10))
-def test_a_straight_episode_ends_30_px_from_the_wall_and_earns_a_hundredth_a_pixel_and_minus_10(distance):
-    # From y = 300 px to 550 px, where the wall at 580 px touches the drone.
-    steps = math.ceil(250 / distance)
-    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0))
-    rows = [after for after, _, _ in drive(env, torch.full((steps, 1), distance))]
-    assert [row["terminated"].item() for row in rows] == [False] * (steps - 1) + [True]
-    assert rows[-1]["episode", "reward"].item() == pytest.approx(0.01 * distance * (steps - 1) - 10, abs=1e-9)
-    assert rows[-1]["episode", "steps"].item() == steps
-    assert rows[-1]["episode", "distance"].item() == distance * steps
-
-
 @pytest.mark.parametrize(
     ("limit", "terminated", "truncated"), [(27, False, True), (28, True, False), (29, True, False)]
 )
@@ -246,14 +187,6 @@ def test_a_limit_of_27_truncates_and_the_collision_in_step_28_terminates_even_at
     assert last["reward"].item() == pytest.approx(-10 if terminated else 0.09)
     assert env.state.steps.item() == 0
     assert not following["truncated"].item()
-
-
-def test_turning_in_place_for_400_steps_never_ends_without_a_limit():
-    env = uavnav.DroneEnv([1])
-    rows = [after for after, _, _ in drive(env, torch.full((400, 1), 50))]
-    assert not any(row["done"].item() for row in rows)
-    assert env.state.heading.item() == (90 + 5 * 400) % 360
-    assert rows[-1]["episode", "reward"].item() == pytest.approx(-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("task", ["drone", "moving", "goal", "space", "space-moving"])
@@ -295,23 +228,6 @@ def test_no_tensor_of_the_first_40_steps_is_changed_by_later_ones(all_layouts, d
         assert all(torch.equal(a, b) for a, b in zip(state, state_then, strict=True))
 
 
-def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_flies_4_5_px_a_step(
-    all_layouts,
-):
-    env = uavnav.DroneEnv([100], layouts=all_layouts)
-    totals, n = dict.fromkeys(COUNTS, 0), 100 * 200
-    for after, _, _ in drive(env, actions_of(env, 200, seed=3)):
-        ended = after["done"].squeeze(-1)
-        for name in COUNTS:
-            totals[name] += after["episode", name][ended].sum().item()
-    for name in COUNTS:
-        totals[name] += after["episode", name][~ended].sum().item()
-    assert totals["steps"] == n
-    for name, share in (("turns", 0.9), ("stops", 0.1), ("full_stops", 0.01)):
-        assert totals[name] / n == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / n))
-    assert totals["distance"] / n == pytest.approx(4.5, abs=4 * math.sqrt(8.25 / n))
-
-
 @pytest.mark.parametrize("action", [-1, 100])
 def test_step_refuses_an_action_outside_0_to_99(action):
     env = uavnav.DroneEnv([2])
@@ -319,31 +235,16 @@ def test_step_refuses_an_action_outside_0_to_99(action):
         env.step(env.reset().set("action", torch.tensor([5, action])))
 
 
-@pytest.mark.parametrize("start_heading", ["up", "random"])
-def test_a_restored_environment_goes_on_after_its_reset_where_the_saved_one_went_on(
-    all_layouts, start_heading
+def test_the_first_reset_of_a_restored_environment_leaves_it_where_it_was_and_the_second_begins_anew(
+    all_layouts,
 ):
-    world = uavnav.World(start_heading=start_heading)
-
-    def make():
-        return uavnav.DroneEnv([2, 4], layouts=all_layouts, seeds=[1, 2], world=world)
-
-    def fly(env, chosen, **how):
-        chosen = iter(chosen)
-        return env.rollout(125, lambda td: td.set("action", next(chosen)), break_when_any_done=False, **how)
-
-    env = make()
-    actions = actions_of(env, 250)
-    fly(env, actions[:125])
+    env = uavnav.DroneEnv([2, 4], layouts=all_layouts, seeds=[1, 2])
+    list(drive(env, actions_of(env, 20)))
     saved = env.state_dict()
-    expected = fly(env, actions[125:], auto_reset=False, tensordict=env.root())
-    restored = make()
-    restored.load_state_dict(saved)
-    assert (fly(restored, actions[125:]) == expected).all()
-    assert all(torch.equal(a, b) for a, b in zip(restored.state, env.state, strict=True))
     env.load_state_dict(saved)
-    env.reset()
-    assert (env.reset()["episode", "steps"] == 0).all()  # a second reset begins anew
+    assert torch.equal(env.reset()["observation"], saved["observation"])
+    assert torch.equal(env.state.steps, saved["state"]["steps"])
+    assert (env.reset()["episode", "steps"] == 0).all()
     assert torch.equal(env.state.layout, (saved["state"]["layout"] + 1) % 1000)
 
 

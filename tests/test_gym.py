@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import math
 import warnings
 
 import gymnasium
@@ -106,16 +105,6 @@ def test_stepping_before_a_reset_is_refused_by_both_kinds():
             env.step(action)
 
 
-def test_the_straight_episode_earns_0_09_in_27_steps_and_minus_10_in_the_28th():
-    env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0))
-    env.reset(seed=0)
-    steps = [env.step(STRAIGHT) for _ in range(math.ceil(250 / 9))]
-    assert [terminated for _, _, terminated, _, _ in steps] == [False] * 27 + [True]
-    assert sum(reward for _, reward, _, _, _ in steps) == pytest.approx(0.09 * 27 - 10, abs=1e-9)
-    assert [info["y"] for *_, info in steps] == [300 + 9 * step for step in range(1, 29)]
-    assert steps[-1][4]["clearance"] == 28
-
-
 @pytest.mark.parametrize(("limit", "terminated", "truncated"), [(27, False, True), (28, True, False)])
 def test_a_limit_of_27_truncates_and_a_collision_at_one_of_28_only_terminates(limit, terminated, truncated):
     env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0), max_steps=limit)
@@ -178,7 +167,7 @@ def test_the_vectors_spaces_hold_its_8_observations_and_actions():
     observation, _ = vector.reset(seed=0)
     assert vector.observation_space.contains(observation)
     assert vector.single_observation_space == make().observation_space
-    assert vector.action_space.contains(vector.action_space.sample())
+    assert vector.action_space == gymnasium.spaces.MultiDiscrete([100] * 8)
     assert vector.num_envs == 8
 
 
@@ -375,11 +364,3 @@ def test_sb3_is_given_of_3_rows_the_obstacles_velocities_and_spaces_of_the_row_t
         assert not (rows[1] == rows[2]).any()
     assert env.get_attr("observation_space", [0]) == [env.observation_space]
     assert [task.world.speed_max for task in env.get_attr("task")] == [2.0] * 3
-
-
-def test_sb3_takes_the_single_environment_too_for_64_steps():
-    stable_baselines3 = pytest.importorskip("stable_baselines3")
-    model = stable_baselines3.DQN(
-        "MlpPolicy", make(), learning_starts=10, buffer_size=100, seed=0, device="cpu"
-    )
-    assert model.learn(64).num_timesteps == 64

@@ -2,26 +2,22 @@
 
 import pandas as pd
 import pytest
+from runs_by_hand import rows
 
 from uavnav.runs import paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, finished, in_order, last_episodes, per_seed
-
-
-def episode(seed, frame, steps, stops, full_stops, turns, distance, reward, terminated=True, truncated=False):
-    row = (seed, frame, 0, 0, steps, stops, full_stops, turns, distance, reward, terminated, truncated)
-    return dict(zip(EPISODE_COLUMNS, row, strict=True))
+from uavnav.runs.metrics import METRICS, Metric, finished, in_order, last_episodes, per_seed
 
 
 @pytest.fixture
 def episodes():
-    return pd.DataFrame(
-        [
-            episode(0, 100, 100, 10, 1, 90, 450, -10.0),
-            episode(0, 400, 300, 0, 0, 150, 2700, 5.0),
-            episode(0, 500, 999, 999, 999, 0, 0, -9.99, terminated=False),  # still open: in no mean
-            episode(1, 50, 50, 5, 5, 45, 0, -10.0, terminated=False, truncated=True),
-        ]
-    ).astype(EPISODE_COLUMNS)
+    first = rows(
+        0,
+        (100, 100, 10, 1, 90, 450, -10.0),
+        (400, 300, 0, 0, 150, 2700, 5.0),
+        (500, 999, 999, 999, 0, 0, -9.99, False, False),  # still open: in no mean
+    )
+    second = rows(1, (50, 50, 5, 5, 45, 0, -10.0, False, True))
+    return pd.concat([first, second], ignore_index=True)
 
 
 def test_counts_are_means_over_each_seeds_episodes(episodes):

@@ -9,8 +9,6 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from policies_by_hand import untrained
 from scipy import stats
 
@@ -77,26 +75,6 @@ def test_at_an_edge_a_velocity_points_inwards():
     assert later[0, 1:, 0].tolist() == [-2.0, 2.0]
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    st.floats(0, 800, width=32),
-    st.floats(0, 600, width=32),
-    st.floats(-2, 2, width=32),
-    st.floats(-2, 2, width=32),
-    st.integers(0, 10**7),
-)
-def test_a_circle_stays_in_the_window_at_its_speed_and_goes_where_its_velocity_points(x, y, vx, vy, steps):
-    row = torch.tensor([[[x, y, 50.0, vx, vy]]])
-    (here, now), (there, _) = (
-        moving.motion(row, torch.tensor([steps + more]), MovingWorld()) for more in (0, 1)
-    )
-    assert ((here[..., :2] >= 0) & (here[..., :2] <= torch.tensor([800.0, 600.0]))).all()
-    assert torch.equal(now.abs(), row[..., 3:].abs())
-    ahead = here[..., :2] + now
-    free = (ahead > 0) & (ahead < torch.tensor([800.0, 600.0]))
-    torch.testing.assert_close(there[..., :2][free], ahead[free], rtol=0, atol=2e-4)
-
-
 # -- the task ------------------------------------------------------------------------------------------------
 
 
@@ -110,30 +88,6 @@ def test_at_speed_0_200_episodes_of_100_steps_equal_the_papers_world_bit_for_bit
         states = [ours, theirs]
         assert all(torch.equal(a, b) for a, b in zip((*ours, *found), (*theirs, *expected), strict=True))
     assert not torch.equal(still.layouts[..., :3], make_task("train").layouts[:1000])
-
-
-def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop_by_every_switch(all_layouts):
-    n, generator = 5000, torch.Generator().manual_seed(5)
-    every = [(more, drawn) for more in ({}, SENSED) for drawn in oracle.SWITCHES]
-    tasks = [make_task(all_layouts, more | drawn, task="moving") for more, drawn in every]
-    heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
-    x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
-    state = tasks[0].start(layout, heading)._replace(x=x, y=y)
-    state = state._replace(steps=torch.randint(500, (n,), generator=generator))
-    poses = zip(*(part.tolist() for part in (x, y, heading, tasks[0].obstacles(state))), strict=True)
-    found = [oracle.look(*pose) for pose in poses]  # where the obstacles are is compared above
-    kept = [row for row in range(n) if not oracle.doubtful(found[row])]
-    assert len(kept) > 0.9 * n
-    for (more, drawn), task in zip(every, tasks, strict=True):
-        observation, clearance = task.observe(state)
-        assert clearance.tolist() == pytest.approx([*map(oracle.clearance_of, found)], abs=2e-4)
-        velocities = task.velocities(state).tolist() if more else [None] * n
-        expected = [
-            oracle.slots_of(found[row], **drawn, velocities=velocities[row], heading=heading[row].item())
-            for row in kept
-        ]
-        torch.testing.assert_close(observation[kept], torch.tensor(expected).flatten(1), rtol=0, atol=2e-5)
-        assert observation.shape == (n, 50 if more else 30)
 
 
 def test_who_stands_still_is_hit_by_what_comes_at_2_px_a_step_from_120_px_after_60_steps():

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from browsing import RESULTS, ask
+from browsing import CONFIGURATIONS, RESULTS, ask
 from policies_by_hand import untrained
 
 from uavnav import load_policy
@@ -28,9 +28,6 @@ from uavnav.views.browser import playground
 
 pytestmark = pytest.mark.slow
 
-CONFIGURATIONS = [
-    f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS
-]
 POSES, SETS = 2000, 40
 CLOSE = 1e-4
 FAULTS = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}

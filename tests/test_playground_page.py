@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from browsing import (
+    CONFIGURATIONS,
     FONTS,
     NARROW,
     PAIRS,
@@ -41,10 +42,6 @@ from uavnav.tasks.table import make_task
 from uavnav.views.browser.playground import ABOUT, SCRIPTED, SETTINGS, Opening, collect, page
 
 pytestmark = pytest.mark.slow
-
-CONFIGURATIONS = [
-    f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS
-]
 
 
 @pytest.fixture

@@ -13,10 +13,8 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, PPOLoss
 from torchrl.objectives.value import GAE
 
-import uavnav
 from uavnav.algorithms import ppo as algorithm
-from uavnav.algorithms.ppo import PPOConfig, estimate, estimate_advantages, make_networks, train
-from uavnav.algorithms.rollout import minibatches
+from uavnav.algorithms.ppo import PPOConfig, estimate_advantages, make_networks, train
 from uavnav.tasks.seeding import Streams
 from uavnav.training.recorder import Interrupted
 
@@ -83,20 +81,6 @@ def test_advantages_and_targets_are_torchrls_own_bit_for_bit(shape):
         assert torch.equal(ours[name], torchrls[name])
 
 
-def test_estimate_bootstraps_a_truncated_episode_from_its_own_last_observation():
-    config = PPOConfig()
-    policy, value = make_networks(config)
-    env = uavnav.DroneEnv([1, 1], max_steps=3)
-    batch = env.rollout(7, lambda td: td.set("action", torch.full((1, 1), 9)), break_when_any_done=False)
-    assert batch["next", "truncated"].flatten().tolist() == [False, False, True] * 2 + [False]
-    estimate(batch, policy, value, config)
-    v = value(batch["observation"]).flatten()
-    terminal = value(batch["next", "observation"]).flatten()[2]
-    torch.testing.assert_close(
-        batch["advantage"].flatten()[2], 0.09 + 0.99 * terminal - v[2], rtol=1e-5, atol=1e-6
-    )
-
-
 # -- an iteration, against Stable-Baselines3's ---------------------------------------------------------------
 
 
@@ -151,22 +135,6 @@ def test_12_minibatches_of_a_rollout_in_the_same_order_equal_sb3s_train(activati
     for (own, sb3), first in zip(pairs, before, strict=True):
         torch.testing.assert_close(own, sb3.detach(), **CLOSE)
         assert (own - first).abs().max() > 1e-3
-
-
-def test_the_rows_of_an_epoch_keep_agent_world_and_time_together_and_come_once_each():
-    """Entry (agent 1, world 2, time 3) is 123 in every key."""
-    agent, world, time = torch.meshgrid(torch.arange(2), torch.arange(3), torch.arange(4), indexing="ij")
-    code = (100 * agent + 10 * world + time).float()
-    batch = TensorDict({"action": code.clone(), "action_log_prob": code.clone()}, [2, 3, 4])
-    batch["observation"] = code[..., None].repeat(1, 1, 1, 30)
-    batch["advantage"], batch["value_target"] = code[..., None].clone(), code[..., None].clone()
-    got = minibatches(batch, Streams([0, 1], "minibatches"), 6, algorithm.LEARNED)
-    assert got.batch_size == (2, 2, 6)
-    for value in got.values():
-        assert (value.reshape(2, 2, 6, -1) == got["action"][..., None]).all()
-    for agent in range(2):
-        assert sorted(got["action"][agent].flatten().tolist()) == code[agent].flatten().tolist()
-        assert got["action"][agent].flatten().tolist() != code[agent].flatten().tolist()
 
 
 def test_train_takes_one_thread_and_gives_its_callers_3_back(tmp_path):

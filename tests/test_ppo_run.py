@@ -71,11 +71,6 @@ def watched(tmp_path_factory):
     return SimpleNamespace(run=run, rollouts=rollouts, minibatches=minibatches, losses=losses)
 
 
-def test_2_iterations_of_3_epochs_learn_24_times_from_48_rows_of_each_agent(watched):
-    assert [batch.batch_size for batch in watched.rollouts] == [(2, 4, 48)] * 2
-    assert [batch.batch_size for batch in watched.minibatches] == [(2, 48)] * 24
-
-
 def test_each_of_192_rows_is_learned_from_once_an_epoch_by_its_own_agent(watched):
     def whole(batch):
         names = ("observation", "action", "action_log_prob", "advantage", "value_target")
@@ -203,19 +198,3 @@ def test_the_run_flew_in_the_world_that_its_4_settings_and_its_limit_describe(wa
         ),
     ):
         assert not same_episode(batch, flown(batch["action"], **how | other))
-
-
-def test_the_runs_episodes_last_at_most_20_steps_and_earn_a_hundredth_of_their_distance(watched):
-    batch = torch.cat(watched.rollouts, 2)
-    terminated = batch["next", "terminated"][..., 0]
-    expected = torch.where(terminated, -10.0, 0.01 * (batch["action"] % 10))
-    torch.testing.assert_close(batch["next", "reward"][..., 0], expected)
-    episodes = watched.run.episodes
-    assert episodes.steps.max() == 20
-    assert (episodes.steps[episodes.truncated] == 20).all()
-    assert episodes.truncated.sum() >= 10
-    assert episodes.terminated.sum() == terminated.sum() >= 1
-    earned = (0.01 * episodes.distance - episodes.reward).round(9)
-    assert (earned[~episodes.terminated] == 0).all()
-    # the step into the collision pays nothing else
-    assert earned[episodes.terminated].between(10, 10.09).all()

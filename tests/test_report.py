@@ -15,7 +15,6 @@ from uavnav.report.configurations import BINS, collect
 from uavnav.report.content import gather
 from uavnav.report.page import markdown
 from uavnav.report.tables import table
-from uavnav.runs import paper
 from uavnav.runs.definitions import ALL, DEFINITIONS, LOG_CURVE, TOTALS
 from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric
 from uavnav.runs.tables import RunError
@@ -331,7 +330,6 @@ def test_a_run_without_a_finished_episode_is_missing_in_every_definition_but_per
 
 def test_tables_of_nothing_still_hold_the_papers_4_rows():
     assert len(table([], "ppo")) == 1 + 3 * 4
-    assert len(paper.TABLES) == 8
 
 
 def test_runs_that_leave_out_what_a_metric_counts_are_read_beside_those_that_have_it(results, monkeypatch):

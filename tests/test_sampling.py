@@ -6,7 +6,6 @@ from scipy import stats
 from tensordict import TensorDict
 
 from uavnav.acting import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
-from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import Chance, Streams, places, stream
@@ -139,12 +138,6 @@ def test_a_picture_shows_probabilities_that_sum_to_1_and_q_values_as_they_are():
     torch.testing.assert_close(SHOWN["probability"](values).sum(-1), torch.ones(40))
     assert torch.equal(SHOWN["Q value"](values), values)
     assert torch.equal(HEADS["direct"](values), values)
-
-
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_every_algorithms_record_names_lines_of_the_three_tables(name):
-    how = ALGORITHMS[name]
-    assert (how.acts in ACTS, how.head in HEADS, how.shown in SHOWN) == (True, True, True)
 
 
 def ring(seeds, n_rows, capacity=10, **how):

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import oracle
 import pytest
 import torch
 
@@ -17,18 +18,13 @@ from uavnav.tasks.world import World
 WORLD, RESULTS = World(), Path(__file__).parent.parent / "results"
 
 
-def turn_of(action):
-    turn, distance = divmod(action, 10)
-    return turn if turn <= 5 else turn - 10, distance
-
-
 def nearest(action, row):
     """The nearest of 100 actions after which every sensed point, or what lies behind it, is farther than 30
     px.
     """
     found = []
     for other in range(100):
-        turn, distance = turn_of(other)
+        turn, distance = oracle.decode(other)
         right, forward = -math.sin(math.radians(turn)), math.cos(math.radians(turn))
         left = [
             30 + 90 * near - distance * (right * x + forward * y)
@@ -36,7 +32,7 @@ def nearest(action, row):
             if x or y
         ]
         if min(left, default=99) > 30.01:
-            own = turn_of(action)
+            own = oracle.decode(action)
             found.append(((turn - own[0]) ** 2 + (distance - own[1]) ** 2, other))
     return min(found)[1]
 

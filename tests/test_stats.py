@@ -60,13 +60,11 @@ def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_
     assert 0.89 <= covered <= 0.98
 
 
-@pytest.mark.parametrize("n", [2, 5, 10])
-def test_the_interval_of_the_mean_of_few_normal_seeds_covers_it_in_about_95_percent_of_1000_draws(n):
-    rng = np.random.default_rng(n)
-    rows = stats.intervals(rng.normal(7.0, 2.0, size=(1000, n)), [np.mean])
-    assert 0.93 <= np.mean([mean.low <= 7.0 <= mean.high for (mean,) in rows]) <= 0.97
-    known = ttest_1samp([1.0, 2.0, 6.0], 0).confidence_interval()
-    assert stats.interval([1.0, 2.0, 6.0]) == pytest.approx((3.0, known.low, known.high, 3))
+@pytest.mark.parametrize("n", [2, 3, 10, 19])
+def test_the_interval_of_the_mean_of_few_seeds_is_students(n):
+    seeds = np.random.default_rng(n).normal(7.0, 2.0, n)
+    known = ttest_1samp(seeds, 0).confidence_interval()
+    assert stats.interval(seeds) == pytest.approx((seeds.mean(), known.low, known.high, n))
 
 
 @pytest.mark.parametrize("means", [[0, 0, 0, 0], [0, 0, 1, 1], [0, 1, 2, 3], [0, 5, 10, 15]])
@@ -90,25 +88,6 @@ def test_an_order_of_equal_means_is_wrongly_known_in_at_most_5_percent():
     assert known / 400 <= 0.06  # 18 % if each pair had a test of 5 %
 
 
-def covered(first, second, n, draws=1000):
-    """Share of simulated studies of n seeds a configuration whose interval covers the difference; draws
-    of means and spreads.
-    """
-    rng = np.random.default_rng(1)
-    found = [
-        stats.difference([rng.normal(*one, n) for one in first], [rng.normal(*one, n) for one in second])
-        for _ in range(draws)
-    ]
-    true = np.mean([mean for mean, _ in first]) - np.mean([mean for mean, _ in second])
-    return np.mean([one.low <= true <= one.high for one in found])
-
-
-@pytest.mark.parametrize("n", [5, 10, 20])
-def test_the_interval_of_a_difference_covers_it_in_95_percent_with_five_seeds_too(n):
-    assert 0.94 <= covered([(3.0, 1.0)], [(1.0, 2.0)], n) <= 0.97
-    assert 0.94 <= covered([(3.0, 1.0), (9.0, 5.0)], [(1.0, 2.0), (7.0, 0.1)], n) <= 0.98
-
-
 def test_a_difference_of_two_configurations_is_that_of_welchs_test():
     first, second = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.0, 3.0, -8.0])
     expected = ttest_ind(first, second, equal_var=False)
@@ -116,6 +95,16 @@ def test_a_difference_of_two_configurations_is_that_of_welchs_test():
     assert found.value == pytest.approx(first.mean() - second.mean())
     assert (found.low, found.high) == pytest.approx(tuple(expected.confidence_interval()))
     assert found.n == 3
+
+
+def test_a_difference_of_two_configurations_from_two_others_weighs_the_mean_of_each_by_a_half():
+    rng = np.random.default_rng(0)
+    samples = [rng.normal(mean, 1, n) for mean, n in ((3, 5), (9, 6), (1, 4), (7, 7))]
+    weights = np.array([0.5, 0.5, -0.5, -0.5])
+    value = sum(w * one.mean() for w, one in zip(weights, samples, strict=True))
+    known = stats.welch(samples, weights[None])
+    half = stdtrit(known.df[0], 0.975) * known.error[0]
+    assert stats.difference(samples[:2], samples[2:]) == pytest.approx((value, value - half, value + half, 4))
 
 
 def test_a_difference_without_scatter_is_a_point_and_of_one_seed_or_none_has_no_interval():
@@ -167,14 +156,6 @@ def test_the_power_of_a_contrast_is_the_share_of_studies_that_find_its_effect(n)
     assert exact.power(np.array([0.9]), 0.025)[0] == pytest.approx(share, abs=0.02)
     assert exact.power(np.array([1e6]), 1e-6)[0] == 1
     assert exact.power(np.zeros(1), 0.025)[0] == pytest.approx(0.025)
-
-
-def test_95_percent_of_single_new_seeds_lie_within_the_prediction_interval():
-    rng = np.random.default_rng(0)
-    for n in (5, 40):
-        found = [stats.prediction(rng.normal(3, 2, n), rng.normal(3, 2)) for _ in range(2000)]
-        assert np.mean([one.within for one in found]) == pytest.approx(0.95, abs=0.015)
-        assert np.mean([one.percentile for one in found]) == pytest.approx(50, abs=2)
 
 
 def test_a_number_among_five_seeds_by_hand():
@@ -419,13 +400,6 @@ def test_a_ratio_to_what_never_varies_has_students_interval():
     found = stats.ratio(seeds, np.full(3, 2.0))
     expected = t.interval(0.95, 2, seeds.mean() / 2, seeds.std(ddof=1) / 2 / 3**0.5)
     assert found[1:3] == pytest.approx(expected)
-
-
-def test_of_three_pairs_that_are_far_apart_two_in_order_and_one_turned_round_are_a_tau_of_a_third():
-    first, second = (
-        [np.array([one, one + 0.1, one + 0.2]) for one in means] for means in ((0, 10, 20), (0, 20, 10))
-    )
-    assert stats.concordance(first, second)[:3] == pytest.approx((1 / 3, 1 / 3, 1 / 3))
 
 
 def test_a_ratio_to_what_may_be_zero_and_of_one_seed_has_no_interval():

@@ -37,9 +37,6 @@ OTHER = {
 FIELDS = World.names()
 
 
-NARROW = oracle.Arena(arc=90)
-
-
 @pytest.fixture
 def narrow(monkeypatch):
     """The task as it is once a plugin has put it into the table."""
@@ -148,32 +145,6 @@ def test_a_policys_file_gives_back_the_task_that_it_was_trained_in(given, narrow
 
 
 # -- a subclass ----------------------------------------------------------------------------------------------
-
-
-def filled(observation):
-    """How many slots are not empty."""
-    return (observation.unflatten(-1, (-1, 3)) != torch.tensor([0.0, 0.0, 1.0])).any(-1).sum(-1)
-
-
-def test_a_narrow_sensor_senses_fewer_things_and_what_a_slow_loop_over_all_senses(narrow):
-    wide, fewer = make_task("test"), 0
-    for _, _, state, outcome in batch(narrow, 50, 30):
-        observation, clearance = wide.observe(state)
-        assert torch.equal(clearance, outcome.clearance)  # sensed or not, all can be hit
-        assert (filled(outcome.observation) <= filled(observation)).all()
-        fewer += (filled(outcome.observation) < filled(observation)).sum()
-    assert fewer > 300
-    for row in range(50):
-        pose = (
-            state.x[row].item(),
-            state.y[row].item(),
-            state.heading[row].item(),
-            narrow.layouts[row].tolist(),
-        )
-        found = oracle.look(*pose, NARROW)
-        if not oracle.doubtful(found, NARROW):
-            expected = torch.tensor(sum(oracle.slots_of(found, arena=NARROW), ()))
-            torch.testing.assert_close(outcome.observation[row], expected, rtol=0, atol=1e-4)
 
 
 def test_a_subclass_has_a_world_of_its_own_with_a_field_of_its_own(narrow):

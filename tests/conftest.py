@@ -122,6 +122,31 @@ def trained(tmp_path_factory):
     return run
 
 
+@pytest.fixture(scope="session")
+def of_two(once):
+    """`of_two(algorithm)`: a configuration of two seeds and 1,024 frames, and its finished run, the same for
+    all processes and not to be changed.
+    """
+    from uavnav.algorithms import ALGORITHMS
+    from uavnav.runs import Run
+    from uavnav.training.loop import train
+
+    more = {
+        "ppo": {"frames_per_batch": 512, "epochs": 2},
+        "dqn": {"learning_starts": 256, "frames_per_update": 16},
+        "a2c": {"n_steps": 4},
+    }
+    small = {"preset": "vectorised", "total_frames": 1024, "n_seeds": 2, "compile": "off"}
+
+    @functools.cache
+    def found(algorithm):
+        config = ALGORITHMS[algorithm].config(**small, **more[algorithm])
+        folder = once(f"two-{algorithm}", lambda folder: train(config, folder / "run", quiet=True))
+        return config, Run(folder / "run")
+
+    return found
+
+
 @pytest.fixture
 def results(tmp_path):
     """A folder of run folders written by hand."""

@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from runs_by_hand import policy_bytes
+from runs_by_hand import policy_bytes, write_policies
 
 from uavnav import evaluation
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import dqn
 from uavnav.evaluation import Protocol, evaluate_run, fly, in_empty_arena, on
 from uavnav.evaluation.values import overestimation
 from uavnav.networks import mlp
-from uavnav.runs import ARENA, VALUES
+from uavnav.runs import ARENA, VALUES, Run
 from uavnav.runs.policies import by_mode, load_policies
 from uavnav.runs.tables import write_table
 from uavnav.studies import Configuration
@@ -120,34 +120,12 @@ def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, messa
 # -- their files ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("train", "config"),
-    [
-        (
-            ppo.train,
-            ppo.PPOConfig(
-                preset="vectorised", n_seeds=2, total_frames=512, frames_per_batch=512, compile="off"
-            ),
-        ),
-        (
-            dqn.train,
-            dqn.DQNConfig(
-                preset="vectorised",
-                n_seeds=2,
-                total_frames=512,
-                learning_starts=64,
-                gamma=0.9,
-                compile="off",
-            ),
-        ),
-    ],
-    ids=["ppo", "dqn"],
-)
-def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, tmp_path, monkeypatch):
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def test_the_runs_own_protocol_leaves_them_and_another_does_not(algorithm, tmp_path, monkeypatch):
     monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 3, 40, None, "drone", None, False))
     monkeypatch.setattr(evaluation, "WATCHED_STEPS", 60)
     monkeypatch.setattr(overestimation, "__defaults__", (20, 3, 10_000))
-    run = train(config, out=tmp_path / "run", quiet=True)
+    run = Run(write_policies(tmp_path / "run", algorithm, seed=4, n_seeds=2, gamma=0.9))
     evaluate_run(run, 2, 40)
     assert [name for name in (ARENA, VALUES) if (run.path / name).exists()] == []
     evaluate_run(run, 3, 40)

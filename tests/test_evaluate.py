@@ -17,7 +17,7 @@ from policies_by_hand import write_zip
 from runs_by_hand import write_policies
 
 import uavnav
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import ppo
 from uavnav.cli import commands
 from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, summary
 from uavnav.report import behaviour
@@ -34,27 +34,12 @@ from uavnav.tasks.table import TASKS
 
 fly_command = functools.partial(commands.run, "evaluate")
 
-RUNS = {
-    "ppo": (
-        ppo.train,
-        ppo.PPOConfig(
-            preset="vectorised", n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"
-        ),
-    ),
-    "dqn": (
-        dqn.train,
-        dqn.DQNConfig(
-            preset="vectorised", n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"
-        ),
-    ),
-}
 
-
-@pytest.fixture(scope="module", params=list(RUNS))
+@pytest.fixture(scope="module", params=["ppo", "dqn"])
 def trained(request, tmp_path_factory):
     """A finished run of the seeds 4, 5 and 6 that was not evaluated."""
-    train, config = RUNS[request.param]
-    return train(config, out=tmp_path_factory.mktemp("evaluate") / "run", quiet=True)
+    folder = tmp_path_factory.mktemp("evaluate") / "run"
+    return Run(write_policies(folder, request.param, seed=4, n_seeds=3, layouts="train"))
 
 
 @pytest.fixture

@@ -4,11 +4,13 @@ are.
 
 import functools
 import json
+import shutil
 
 import pandas as pd
 import pytest
 import torch
 import yaml
+from policies_by_hand import always, untrained
 from replaying import unpack
 from runs_by_hand import write_policies
 from safetensors import safe_open
@@ -18,14 +20,15 @@ from uavnav import evaluation, load_policy
 from uavnav.algorithms import dqn, ppo
 from uavnav.cli import commands
 from uavnav.evaluation import episodes, evaluate_policy, evaluate_run, on
-from uavnav.networks import mlp
+from uavnav.evaluation.verify import verify
 from uavnav.report import behaviour, configurations
+from uavnav.runs import Run
 from uavnav.runs.export import export_policy
-from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.table import EMPTY, make_task
+from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import machine, probes
 from uavnav.training.config import plain
 from uavnav.training.recorder import Interrupted
@@ -49,33 +52,38 @@ CONFIGS = {
 }
 
 
-def tables(path):
-    read = (pd.read_parquet(path / name) for name in ("episodes.parquet", "progress.parquet"))
-    return [table.drop(columns="frames_per_second", errors="ignore") for table in read]
+@pytest.fixture
+def resumed(once):
+    """`resumed(algorithm)`: a run stopped halfway and gone on with, not to be changed."""
+
+    def run(algorithm):
+        def make(folder):
+            with pytest.raises(Interrupted):
+                ppo.train(CONFIGS[algorithm], out=folder / "run", quiet=True, until=256)
+            ppo.train(CONFIGS[algorithm], out=folder / "run", quiet=True)
+
+        return Run(once(f"faults-{algorithm}", make) / "run")
+
+    return run
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_its_task(name, tmp_path):
-    config = CONFIGS[name]
-    whole = ppo.train(config, out=tmp_path / "whole", quiet=True)
-    with pytest.raises(Interrupted):
-        ppo.train(config, out=tmp_path / "again", quiet=True, until=256)
-    again = ppo.train(config, out=tmp_path / "again", quiet=True)
-    for one, other in zip(tables(whole.path), tables(again.path), strict=True):
-        pd.testing.assert_frame_equal(one, other, check_exact=True)
-    weights = [load_file(run.path / "policy.safetensors") for run in (whole, again)]
-    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
-    assert yaml.safe_load((whole.path / "config.yaml").read_text())["faults"] == ALL
-    policy = load_policy(whole.path, seed=1)
+def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_its_task(name, resumed):
+    run = resumed(name)
+    verdict = verify(run, quiet=True)
+    assert verdict.same, verdict.lines
+    assert not any("not compared" in line for line in verdict.lines)
+    assert yaml.safe_load((run.path / "config.yaml").read_text())["faults"] == ALL
+    policy = load_policy(run.path, seed=1)
     assert (policy.task.stack, policy.task.faults) == (2, Faults(**ALL))
     assert policy.values(torch.zeros(3, 60)).shape == (3, 100)
-    assert len(whole.episodes) > 8
+    assert len(run.episodes) > 8
 
 
 def test_one_training_is_evaluated_exported_and_replayed_and_its_evaluations_with_other_faults_lie_apart(
-    tmp_path,
+    resumed, tmp_path
 ):
-    run = ppo.train(CONFIGS["ppo"], out=tmp_path / "run", quiet=True)
+    run = Run(shutil.copytree(resumed("ppo").path, tmp_path / "run"))
     rows = evaluate_run(run, 12, 30, quiet=True)
     plain_rows = evaluate_run(run, 12, 30, quiet=True, faults=NO_FAULTS)
     late = evaluate_run(run, 12, 30, quiet=True, faults=Faults(late=2))
@@ -119,15 +127,10 @@ def test_evaluate_flies_a_baseline_with_faults(capsys):
 # -- episodes ------------------------------------------------------------------------------------------------
 
 
-def untrained(task, greedy=True, seed=5):
-    network = mlp([task.observation_size, 16, 100], "tanh", [torch.Generator().manual_seed(seed)], "default")
-    return Policy(network, "ppo", greedy, task, "categorical", "direct", 0.0, seed)
-
-
 @pytest.mark.parametrize("greedy", [True, False])
 def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row(greedy):
     own = make_task(EMPTY, stack=2, faults=ALL)
-    policies = {seed: untrained(own, greedy, seed) for seed in (5, 6)}
+    policies = {seed: untrained(seed, greedy, own, sizes=(60, 16, 100)) for seed in (5, 6)}
     task = on(own, "test", 20, 60)
     together = evaluation.fly(policies, task).episodes
     alone = evaluation.fly({6: policies[6]}, task).episodes
@@ -143,24 +146,36 @@ def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row
     assert (film.ended == "collided") == row["terminated"]
 
 
-def test_draws_of_an_episode_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended():
-    task = on(make_task(EMPTY, faults={"sticky": 0.5}), "test", 30, 50)
-    rows = evaluation.fly({3: uniform_random}, task).behaviour
-    first = on(task, "test", 30, 50)
-    seen = {}
-    for step in episodes.steps([(3, straight_ahead)], first):
-        seen[step.number] = step.episode
-    assert len(seen[1]) == 30 > len(seen[max(seen)])  # some have ended
-    drawn = [next(episodes._draws(task, [3], "faults in evaluation")) for _ in range(2)]
-    assert torch.equal(*drawn)
-    assert drawn[0].shape == (30, 1)
-    assert len(rows)
+def test_draws_of_an_episode_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended(monkeypatch):
+    task = on(make_task(EMPTY, faults={"noise": 5.0, "sticky": 0.5}), "test", 30, 50)
+    original, given = WrappedTask.step, []
+
+    def step(self, state, action, draws=None):
+        given.append(draws)
+        return original(self, state, action, draws)
+
+    monkeypatch.setattr(WrappedTask, "step", step)
+
+    def drawn(*policies):
+        """By seed, set and number, what each step was given."""
+        found, seeds = {}, [seed for seed, _ in policies]
+        for moved in episodes.steps(policies, task):
+            for episode, row in zip(moved.episode.tolist(), given.pop().tolist(), strict=True):
+                found[seeds[episode // 30], episode % 30, moved.number] = tuple(row)
+        return found
+
+    flying = drawn((3, straight_ahead), (4, straight_ahead))
+    standing = drawn((4, always(0)), (3, always(0)))
+    assert len(flying) < len(standing) == 2 * 30 * 50  # many have ended
+    assert flying.items() <= standing.items()
+    assert len({*standing.values()}) == len(standing)
 
 
 def test_a_compiled_step_takes_the_same_draws_as_a_step_that_is_not_compiled(monkeypatch):
     """Episodes that have ended keep their places in the batch of a graph; here the graph is left out."""
     own = make_task(EMPTY, stack=2, faults=ALL)
-    task, policies = on(own, "test", 40, 60), {seed: untrained(own, seed=seed) for seed in (5, 6)}
+    policies = {seed: untrained(seed, task=own, sizes=(60, 16, 100)) for seed in (5, 6)}
+    task = on(own, "test", 40, 60)
     eager = evaluation.fly(policies, task)
     monkeypatch.setattr(machine, "EAGER_STEPS", 9)
     monkeypatch.setattr(machine, "episodes", lambda max_steps: True)
@@ -187,7 +202,7 @@ def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
 
 
 def test_greedy_episodes_with_a_memory_are_flown_and_not_counted():
-    policy = untrained(make_task(EMPTY))
+    policy = untrained()
     assert evaluation._repeatable(policy, make_task(EMPTY))
     for how in ({"stack": 2}, {"faults": {"late": 1}}, {"faults": {"noise": 1.0}}):
         assert not evaluation._repeatable(policy, make_task(EMPTY, **how))
@@ -207,13 +222,13 @@ def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch(monkeyp
         return [[]] * len(flyers)
 
     monkeypatch.setattr(replays, "_fly_together", note)
-    replays.fly([replays.Flyer(seed, untrained(task), task, [0]) for seed, task in enumerate(tasks)], 12)
+    replays.fly([replays.Flyer(seed, untrained(task=task), task, [0]) for seed, task in enumerate(tasks)], 12)
     assert batches == [[0, 3], [1], [2]]
 
 
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
     own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
-    ((episode,),) = replays.fly([replays.Flyer(0, untrained(own), own, [0])], 12)
+    ((episode,),) = replays.fly([replays.Flyer(0, untrained(task=own, sizes=(90, 16, 100)), own, [0])], 12)
     shown = unpack(episode, replays._constants(own.world)["fields"])
     assert all(shown[name].shape == (episode["steps"] + 1, 10) for name in ("right", "forward", "proximity"))
 

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from runs_by_hand import write_policies
 
 import uavnav
 from uavnav.__main__ import main
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import ppo
 from uavnav.runs import POLICY, shipped
 from uavnav.runs.paper import TABLES
 from uavnav.training.weights import serialize
@@ -19,22 +20,9 @@ from uavnav.training.weights import serialize
 
 @pytest.fixture(scope="module", params=["ppo", "dqn"])
 def run(request, tmp_path_factory):
+    """Of the seeds 4, 5 and 6."""
     folder = tmp_path_factory.mktemp("policies") / request.param
-    if request.param == "ppo":
-        return ppo.train(
-            ppo.PPOConfig(
-                preset="vectorised", n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"
-            ),
-            folder,
-            quiet=True,
-        )
-    return dqn.train(
-        dqn.DQNConfig(
-            preset="vectorised", n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"
-        ),
-        folder,
-        quiet=True,
-    )
+    return uavnav.Run(write_policies(folder, request.param, seed=4, n_seeds=3))
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (2, 5)])
@@ -70,13 +58,13 @@ def test_an_array_or_a_list_is_answered_with_an_array(run):
 
 def test_sampling_follows_its_generator(run):
     policy = uavnav.load_policy(run.path, greedy=False)
-    observation = torch.rand(1, 30).expand(4000, 30)
+    observation = torch.rand(1, 30, generator=torch.Generator().manual_seed(0)).expand(4000, 30)
     draws = [policy(observation, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
     assert torch.equal(draws[0], draws[1])
     assert not torch.equal(draws[0], draws[2])
     greedy = (draws[0] == policy.values(observation).argmax(-1)).float().mean()
     if run.algorithm == "dqn":
-        assert abs(greedy - (0.95 + 0.05 / 100)) < 0.02  # epsilon = 0.05
+        assert abs(greedy - (0.8 + 0.2 / 100)) < 0.02  # epsilon = 0.2
     else:
         assert abs(greedy - torch.softmax(policy.values(observation[0]), -1).max()) < 0.03
 

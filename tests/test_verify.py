@@ -12,7 +12,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import ppo
 from uavnav.cli import commands
 from uavnav.evaluation import verify
 from uavnav.runs import POLICY, Run
@@ -21,46 +21,20 @@ from uavnav.training.recorder import Recorder
 
 verify_command = functools.partial(commands.run, "verify")
 
-ALGORITHMS = {
-    "ppo": (
-        ppo.train,
-        ppo.PPOConfig(
-            preset="vectorised", total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off"
-        ),
-    ),
-    "dqn": (
-        dqn.train,
-        dqn.DQNConfig(
-            preset="vectorised",
-            total_frames=1024,
-            learning_starts=256,
-            frames_per_update=16,
-            n_seeds=2,
-            compile="off",
-        ),
-    ),
-}
+ALGORITHMS = ["ppo", "dqn"]
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("verify")
-    return {
-        name: train(config, out=folder / name, quiet=True) for name, (train, config) in ALGORITHMS.items()
-    }
-
-
-@pytest.fixture(params=list(ALGORITHMS))
-def trained(request, runs):
-    return runs[request.param]
+@pytest.fixture(params=ALGORITHMS)
+def trained(request, of_two):
+    return of_two(request.param)[1]
 
 
 @pytest.fixture
-def known(runs, monkeypatch):
+def known(of_two, monkeypatch):
     """The repeat of a whole run is a copy of it, as the first test here shows that it would be; others are
     flown.
     """
-    train, there = verify.train, {config: runs[name].path for name, (_, config) in ALGORITHMS.items()}
+    train, there = verify.train, {config: run.path for config, run in map(of_two, ALGORITHMS)}
 
     def repeat(config, out, **how):
         if config in there and "until" not in how:
@@ -71,9 +45,9 @@ def known(runs, monkeypatch):
 
 
 @pytest.fixture
-def run(runs, known, tmp_path):
+def run(of_two, known, tmp_path):
     """The folder of a copy of PPO's, to be doctored."""
-    return shutil.copytree(runs["ppo"].path, tmp_path / "run")
+    return shutil.copytree(of_two("ppo")[1].path, tmp_path / "run")
 
 
 @pytest.fixture

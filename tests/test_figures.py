@@ -99,7 +99,7 @@ def test_a_figure_is_the_same_bytes_twice_and_8_inches_wide_and_changes_no_setti
     before = dict(matplotlib.rcParams)
     drawn, again = EXAMPLES[name](), EXAMPLES[name]()
     svg, png = drawn.svg, style.png(drawn.figure)
-    assert svg == style.svg(drawn.figure) == style.svg(again.figure)
+    assert svg == style.Drawn(drawn.figure, "").svg == again.svg
     assert png == style.png(drawn.figure) == style.png(EXAMPLES[name]().figure)  # without an SVG before
     assert int.from_bytes(png[16:20], "big") == 960  # at 120 dots an inch
     assert ElementTree.fromstring(svg).get("width") == "576pt"
@@ -117,7 +117,7 @@ def scattered():
 @pytest.mark.parametrize("name", [*EXAMPLES, "scatter"])
 def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_point(name):
     figure = scattered() if name == "scatter" else EXAMPLES[name]().figure
-    full, short = (ElementTree.fromstring(text) for text in (style.svg(figure), by_day(figure)))
+    full, short = (ElementTree.fromstring(text) for text in (style.Drawn(figure, "").svg, by_day(figure)))
     words = [
         [text.strip() for one in tree.iter(f"{SVG}text") for text in one.itertext()] for tree in (full, short)
     ]
@@ -139,7 +139,7 @@ def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_p
 
 def by_day(figure):
     """What a page holds of a figure, with its colours by day put in."""
-    svg = unquote(style.embedded(style.svg(figure)))
+    svg = unquote(style.embedded(style.Drawn(figure, "").svg))
     for place, day in enumerate(style.NIGHT):
         svg = svg.replace(f"var(--{place})", day)
     return svg

@@ -27,9 +27,9 @@ def gae(rewards, values, terminated, truncated, gamma=0.9, lmbda=0.8):
     done = torch.tensor(terminated) | torch.tensor(truncated)
     batch = TensorDict(
         {
-            "state_value": torch.tensor(values[:steps])[None, None, :, None],
+            "observation": torch.tensor(values[:steps])[None, None, :, None],
             "next": {
-                "state_value": torch.tensor(values[1:])[None, None, :, None],
+                "observation": torch.tensor(values[1:])[None, None, :, None],
                 "reward": torch.tensor(rewards)[None, None, :, None],
                 "done": done[None, None, :, None],
                 "terminated": torch.tensor(terminated)[None, None, :, None],
@@ -37,7 +37,7 @@ def gae(rewards, values, terminated, truncated, gamma=0.9, lmbda=0.8):
         },
         [1, 1, steps],
     )
-    estimate_advantages(batch, gamma, lmbda)
+    estimate_advantages(batch, lambda observation: observation, gamma, lmbda)  # of its own value
     torch.testing.assert_close(batch["value_target"], batch["advantage"] + batch["state_value"])
     return batch["advantage"].flatten().tolist()
 
@@ -70,11 +70,12 @@ def test_advantages_and_targets_are_torchrls_own_bit_for_bit(shape):
     generator = torch.Generator().manual_seed(0)
     reward, value, after = torch.randn(3, *shape, 1, generator=generator)
     terminated, truncated = torch.rand(2, *shape, 1, generator=generator) < 0.1
-    following = {"reward": reward, "state_value": after, "terminated": terminated}
+    following = {"reward": reward, "observation": after / 2, "terminated": terminated}
     following["done"] = terminated | truncated
-    ours = TensorDict({"state_value": value, "next": following}, shape)
+    ours = TensorDict({"observation": value / 2, "next": following}, shape)
     torchrls = ours.clone()
-    estimate_advantages(ours, 0.99, 0.95)
+    torchrls["state_value"], torchrls["next", "state_value"] = value, after
+    estimate_advantages(ours, lambda observation: 2 * observation, 0.99, 0.95)
     GAE(gamma=0.99, lmbda=0.95, value_network=None, vectorized=False)(torchrls)
     assert 0 < following["done"].sum() < ours.numel()
     for name in ("advantage", "value_target"):

@@ -16,15 +16,15 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 SETTINGS_BYTES = 2**18
-"""Of a file that a person or a command wrote in YAML or JSON, at most: a run's own have a few thousand."""
+"""The most bytes of a YAML or JSON file: a run's own have a few thousand."""
 MOST_NESTED = 100
-"""Levels of lists and mappings in YAML, whatever the stack of who reads it would bear."""
+"""The most levels of lists and mappings in YAML."""
 TABLE_BYTES = 2**31
-"""Of a table, at most."""
+"""The most bytes of a table."""
 MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-"""Of a file of tensors, at most: the machine's memory."""
+"""The most bytes of a file of tensors: the machine's memory."""
 WHOLE_BITS = 64
-"""Of a whole number in YAML or JSON, at most."""
+"""The most bits of a whole number in YAML or JSON."""
 ASIDE = ".aside"
 """How a file's name ends while it is written."""
 
@@ -143,7 +143,7 @@ def check_out(path: Path) -> None:
 
 
 def _whole(number: str | int) -> int:
-    """A whole number; raises a ValueError where it is too large for whoever computes with it or prints it."""
+    """A whole number; raises a ValueError where it is too large to compute with or to print."""
     whole = int(number)
     if whole.bit_length() > WHOLE_BITS:
         raise ValueError(f"a whole number has more than {WHOLE_BITS} bits")

@@ -430,7 +430,7 @@ def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.G
     return float(min(1.0, p_values.size * p_values.min()))  # the smallest after Holm
 
 
-def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
+def interaction(table: pd.DataFrame) -> Interaction:
     """Test the interaction of algorithm and activation; table: columns algorithm, activation, value.
 
     p_ranks tests for a crossover: a is above b under the first algorithm, and b is above a under the second.
@@ -449,14 +449,14 @@ def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
     first, second = (
         [configurations[algorithm, activation] for activation in activations] for algorithm in algorithms
     )
-    p_ranks = _crossover(first, second, np.random.default_rng(seed))
+    p_ranks = _crossover(first, second, np.random.default_rng(0))
     fit = OLS.from_formula("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
     interact = np.eye(len(fit.params))[fit.params.index.str.contains(":")]
     return Interaction(p_ranks, float(fit.f_test(interact).pvalue), n)
 
 
 def survival(steps: Array, ended: Array) -> pd.Series[float]:
-    """Kaplan and Meier's estimate of the share of episodes still in the air, indexed by steps.
+    """Kaplan and Meier's estimate of the share of episodes that last longer, indexed by steps.
 
     steps [E], ended [E]: false if a time limit or the end of training cut the episode off.
     """
@@ -477,8 +477,8 @@ def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
     return float(restricted_mean_survival_time(fitted, t=limit))
 
 
-def seeds_needed(mine: Array, theirs: Array, effect: float, power: float = 0.8, alpha: float = 0.05) -> float:
-    """Seeds per configuration with which a t test finds this difference; mine, theirs: [S], for the scatter.
+def seeds_needed(mine: Array, theirs: Array, effect: float, power: float = 0.8) -> float:
+    """Seeds per configuration with which a t test at 5 % finds an effect; mine, theirs: [S], for the scatter.
 
     NaN with fewer than two seeds or an effect that is not known; infinite if a billion seeds are too few.
     """
@@ -489,7 +489,7 @@ def seeds_needed(mine: Array, theirs: Array, effect: float, power: float = 0.8, 
         return 2.0
     t_test = TTestIndPower()
     # NaN where scipy cannot tell it from 1; the solver of statsmodels fails for large differences
-    return fewest(lambda n: not t_test.power(abs(effect) / spread, n, alpha) < power)
+    return fewest(lambda n: not t_test.power(abs(effect) / spread, n, 0.05) < power)
 
 
 def fewest(enough: Callable[[int], bool], least: int = 2) -> float:

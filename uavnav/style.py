@@ -102,13 +102,8 @@ class Drawn:
 
     @functools.cached_property
     def svg(self) -> bytes:
-        """The figure as `svg` gives it."""
-        return svg(self.figure)
-
-
-def svg(figure: Figure) -> bytes:
-    """SVG, the same bytes on every call."""
-    return _saved(figure, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        """The same bytes for the same figure."""
+        return _saved(self.figure, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type")))
 
 
 def png(figure: Figure) -> bytes:

@@ -20,7 +20,7 @@ class Algorithm(NamedTuple):
     values: str  # what its outputs are, for people
     shown: str  # what a picture shows of them: a name of `acting.SHOWN`
     head: str = "direct"  # how outputs become one number an action: a name of `acting.HEADS`
-    # when Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
+    # when Stable-Baselines3 writes a row of its log: every so many `frames` or `episodes`, by factors
     logs: tuple[str | int, ...] = ()
 
     @property

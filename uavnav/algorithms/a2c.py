@@ -91,8 +91,7 @@ def make_loss(policy: nn.Module, value: nn.Module, config: A2CConfig) -> A2CLoss
         TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"]),
         critic_coeff=config.critic_coeff,
         loss_critic_type="l2",
-        entropy_bonus=config.entropy_coeff > 0,
-        entropy_coeff=config.entropy_coeff if config.entropy_coeff > 0 else None,
+        entropy_coeff=config.entropy_coeff,  # zero: no bonus
         reduction="none",
         functional=False,
     )
@@ -121,16 +120,10 @@ class A2C:
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
         """One step on a whole rollout [A, W, T]; now and then a row, [A]."""
         config = self.config
-        with torch.no_grad():
-            self.loss.critic_network(batch)
-            self.loss.critic_network(batch["next"])
-        estimate_advantages(batch, config.gamma, config.gae_lambda)
+        estimate_advantages(batch, self.value, config.gamma, config.gae_lambda)
         needed = batch.select("observation", "action", "advantage", "value_target").flatten(1, 2)
         losses = self.learner.learn(needed[:, None])
-        if (
-            frames // LOG_FRAMES == (frames - config.frames_per_iteration) // LOG_FRAMES
-            and frames < config.frames
-        ):
+        if not config.logs(frames):
             return None
         with torch.no_grad():
             logits = self.policy(batch["observation"]).log_softmax(-1)

@@ -93,11 +93,11 @@ class QConfig(ReplayConfig, ExploringConfig):
 
     @property
     def n_outputs(self) -> int:
-        """The same, and with `dueling` the state's value in front."""
+        """Outputs of the network: one an action; with `dueling`, the state's value in front."""
         return super().n_outputs + self.dueling
 
     def epsilon(self, frames: int) -> float:
-        """The same, and all actions are random until learning starts."""
+        """The share of random actions: 1 until learning starts, then a linear fall."""
         return 1.0 if frames < self.learning_starts else super().epsilon(frames)
 
 

@@ -12,7 +12,7 @@ Letters: A agents, W environments an agent, T steps of a rollout.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import torch
@@ -143,14 +143,18 @@ def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
 
 
 @torch.no_grad()
-def estimate_advantages(batch: TensorDictBase, gamma: float, gae_lambda: float) -> None:
-    """Write advantages and value targets into a rollout [A, W, T] with the values of all its observations.
+def estimate_advantages(
+    batch: TensorDictBase, value: Callable[[Tensor], Tensor], gamma: float, gae_lambda: float
+) -> None:
+    """Write values, advantages and value targets into a rollout [A, W, T]; value: observations -> [..., 1].
 
     Schulman et al. (2016), eq. (16): A_t = delta_t + gamma lambda A_t+1, with the delta of eq. (3). A
     collision ends this sum and has no value after it; a time limit only ends the sum. TorchRL's `GAE` gives
     the same, bit for bit, in thrice the time, a seventh of a run with one environment.
     """
     after = batch["next"]
+    for rows in (batch, after):
+        rows["state_value"] = value(rows["observation"])
     delta = after["reward"] + gamma * ~after["terminated"] * after["state_value"] - batch["state_value"]
     share = gae_lambda * (gamma * ~after["done"])  # of what follows
     advantage, share = (each.movedim(2, 0).contiguous() for each in (delta, share))
@@ -165,9 +169,7 @@ def estimate_advantages(batch: TensorDictBase, gamma: float, gae_lambda: float) 
 def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, config: PPOConfig) -> None:
     """Write log-probabilities, values, advantages and value targets into a rollout [A, W, T]."""
     batch["action_log_prob"] = distribution(policy, batch).log_prob(batch["action"])
-    for rows in (batch, batch["next"]):
-        rows["state_value"] = value(rows["observation"])
-    estimate_advantages(batch, config.gamma, config.gae_lambda)
+    estimate_advantages(batch, value, config.gamma, config.gae_lambda)
 
 
 @torch.no_grad()

@@ -112,10 +112,10 @@ class PQN:
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
         """Epochs of minibatches over a rollout [A, W, T]; each agent's mean loss and Q values, [A]."""
         config = self.config
-        with torch.no_grad():
-            for rows in (batch, batch["next"]):
-                rows["state_value"] = self.network(rows["observation"]).amax(-1, keepdim=True)
-        estimate_advantages(batch, config.gamma, config.q_lambda)  # of max Q: with it, they are G
+        # with max Q as a state's value, the targets are G
+        estimate_advantages(
+            batch, lambda seen: self.network(seen).amax(-1, keepdim=True), config.gamma, config.q_lambda
+        )
         return {
             **learn_in_epochs(batch, self.learner, self.orders, config, LEARNED),
             "q_value": batch["state_value"].flatten(1).mean(1),

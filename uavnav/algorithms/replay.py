@@ -104,10 +104,6 @@ class ReplayConfig(TrainConfig):
         """Frames per seed from one row of progress to the next, whole rounds of updates."""
         return max(LOG_FRAMES // self.frames_per_iteration, 1) * self.frames_per_iteration
 
-    def logs(self, frames: int) -> bool:
-        """Whether a row of progress is due after so many frames."""
-        return frames % self.frames_between_rows == 0 or frames >= self.frames
-
 
 class Replay:
     """A ring of transitions (s, a, R, s') of all agents, from which each draws its own.

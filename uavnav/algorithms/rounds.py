@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Sequence
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torch import Tensor
 
 from uavnav import graph
@@ -27,7 +27,7 @@ ROUNDS = 25
 LEAST_ROUNDS = 20_000
 """Of a run for which compiling them together pays."""
 MOST_UPDATES = 4
-"""Of a round that is so small that calls cost more than a tenth of it."""
+"""Gradient steps of a round; with more, calls cost less than a tenth of it."""
 
 
 class Rounds:
@@ -132,7 +132,8 @@ class Rounds:
         constants: the environment's; the ring; what else an update is given.
         """
         n_now, n_drawn, n_known = len(env.tensors), len(inputs) - 4, len(env.constants)
-        weights = [_name(weight, self.learner.params) for weight in self.actor.weights]
+        names = {id(weight): str(name) for name, weight in self.learner.params.items()}
+        weights = [names[id(weight)] for weight in self.actor.weights]
         *drawn, rates, _, places, fresh = (one[0] for one in inputs)
         ring, *kept = constants[n_known:]
         acting = [*state[:n_now], *drawn, *env.constants, *self.actor.weights]
@@ -152,8 +153,3 @@ class Rounds:
             return *found[:n_now], *learned, rows, *found[n_now:]
 
         return graph.Scan(one_round, len(state), len(inputs), strict=True, cpp_wrapper=True), closed_over
-
-
-def _name(weight: Tensor, params: TensorDictBase) -> str:
-    """The name of a weight among all."""
-    return next(str(name) for name, one in params.items() if one is weight)

@@ -26,8 +26,9 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(
             f"{names[0]}: there is nothing to compare it with; give at least two, such as ppo-best reactive"
         )
-    given = {name: getattr(arguments, name) for name in ("episodes", "max_steps")}
-    asked = {name: value for name, value in given.items() if value is not None}
+    asked = {
+        name: value for name in ("episodes", "max_steps") if (value := getattr(arguments, name)) is not None
+    }
     contenders = contend(names, arguments.activation, arguments.shield, **asked)
     check(contenders)
     if line := apart(contenders):

@@ -35,8 +35,8 @@ OF_WORDS = ("run", "policy", "status")
 WATCH_SECONDS = 2.0
 WIDEST = 1_000  # columns of what is no terminal
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
-STATES = {FINISHED: "finished", "failed": "failed"}
-"""By the status in meta.json; whatever else it says, a run that does not run was stopped."""
+ENDS = (FINISHED, "failed")
+"""What meta.json says of a run that has ended; whatever else it says, a run that does not run was stopped."""
 
 
 def row(path: Path, now: float) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def row(path: Path, now: float) -> dict[str, Any]:
     meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
     told = progress(path)
     running = told if meta.get("status") == "running" and heard(told, now) else {}
-    frames = running.get("frames", meta.get("frames"))
+    frames, status = running.get("frames", meta.get("frames")), meta.get("status")
     return {
         "run": str(path),
         **{key: config[key] for key in ("algorithm", "activation")},
@@ -59,7 +59,7 @@ def row(path: Path, now: float) -> dict[str, Any]:
         "seeds": [config["seed"], config["seed"] + config["n_seeds"] - 1],
         "frames": saved_frames(path) or told.get("frames", 0) if frames is None else frames,
         "total": config["total_frames"],
-        "status": "running" if running else STATES.get(str(meta.get("status")), "stopped"),
+        "status": "running" if running else status if status in ENDS else "stopped",
         **_rewards(path, str(config.get("task", "drone"))),
         "age": _age(str(meta.get("ended") or meta.get("started")), now),
         **_pace(running),

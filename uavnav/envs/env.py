@@ -82,7 +82,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     Action:
         `action` [*B] int64 in 0..99: ten turns times ten distances, eqs (11) and (12).
     Observation:
-        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13); as many of the
+        `observation` [*B, 30] float32: ten triplets (right, forward, proximity), eq. (13); as many of the
         newest as `stack` says, the newest first.
     Reward:
         `reward` [*B, 1] float32: eq. (14), or another variant of `uavnav.rewards`.

@@ -19,7 +19,7 @@ from uavnav.stats import Array, Interval
 from uavnav.tasks.protocol import SCRIPTED, TASK_NAMES
 
 GREEDY = {"pqn"}
-"""Algorithms that are judged greedily: an action at random, which learning needs, is none of theirs."""
+"""Algorithms whose greedy episodes count: their random actions are only for learning."""
 
 
 def named(name: str, found: Interval) -> dict[str, float]:

@@ -24,7 +24,7 @@ from uavnav.runs.metrics import METRICS
 from uavnav.stats import Array
 
 PRIMARY = PER_FRAME
-"""The metric definition of all that is not said of a claim."""
+"""The metric definition wherever none is named."""
 TRAINING, LOG = "training, per frame", "training, SB3's log"
 FINAL, OTHER = "final policies", "other settings"
 COLUMNS = {TRAINING: PER_FRAME, LOG: LOG_CURVE, FINAL: SAMPLED, OTHER: SAMPLED}
@@ -70,7 +70,7 @@ NO_SAC = "all tasks, without SAC"
 FAST, TUNED = "fast", "tuned"
 """Studies of other settings: the preset, and what 40 trials found."""
 RANKED, NONE = "ranked", "none"
-"""The term of such a correlation, and that of no correlation."""
+"""Stand for algorithms in claim 16: the correlation itself, and zero, which it is compared with."""
 
 OF_FINAL = ("corridor", "clearance", "empty_", "reversals")
 """How the names of metrics begin that are known only of final policies."""

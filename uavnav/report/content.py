@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -204,7 +203,14 @@ def gather(
         for column, ours, printed, claims in asks:
             audits[column] += audit(ours, printed, asked(claims, column))
         operating = beside.enter_context(
-            machine.forked(lambda: joined([*itertools.starmap(_operating, asks)]))
+            machine.forked(
+                lambda: joined(
+                    [
+                        characteristics(ours, printed, asked(claims, column)).assign(column=column)
+                        for column, ours, printed, claims in asks
+                    ]
+                )
+            )
         )
         numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits), **of_studies}
         tell("drawing figures")
@@ -221,11 +227,6 @@ def gather(
         baselines,
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *recorded["left_out"]])),
     )
-
-
-def _operating(column: str, ours: Evidence, printed: Evidence, claims: Sequence[Claim]) -> pd.DataFrame:
-    """How often the rule gives each grade in a column, if the truth is known."""
-    return characteristics(ours, printed, asked(claims, column)).assign(column=column)
 
 
 def _apart(folders: Sequence[Path]) -> tuple[Worlds | None, dict[str, pd.DataFrame], list[str]]:

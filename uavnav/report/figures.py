@@ -37,8 +37,9 @@ FURTHER = {
     " over seeds.",
     horizon: "Does a longer horizon pay? Reward on test layouts, sampled, by frames of training: means"
     " and 95 % intervals over seeds. Dashed: the scripted policy.",
-    learned: "Does learning beat classical policies? Reward on test layouts: of PPO's `best` sampled, the"
-    " mean and 95 % interval over seeds; of scripted policies one number, of `random` ten seeds.",
+    learned: "Does learning beat classical policies? Reward on test layouts: of the presets `best`, PPO's"
+    " sampled and PQN's greedy, the mean and 95 % interval over seeds; of scripted policies one number, of"
+    " `random` ten seeds.",
 }
 """Questions and captions of further studies."""
 

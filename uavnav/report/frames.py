@@ -133,7 +133,7 @@ def means(seeds: Iterable[tuple[Any, pd.Series[float]]]) -> dict[str, list[stats
 
 @functools.lru_cache(maxsize=8192)
 def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
-    """What `means` gives, of rows of float64 [S] as bytes: page and report.md ask for the same."""
+    """What `means` gives, of rows of float64 [S] as bytes: `estimates` asks first, the pages after it."""
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 

@@ -31,7 +31,7 @@ from uavnav.views import replays
 YOU = "you"
 """Who flew by hand: `uavnav play --keep`."""
 SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
-"""What the ranking says of episodes besides their reward: the first that they have."""
+"""The ranking's second number: the first of these that the episodes have."""
 Looks = Mapping[str, tuple[str, str]]
 """A colour and a line by the name of a run."""
 Begun = tuple[Configuration, str]
@@ -95,11 +95,7 @@ def gather(
         if len(one.runs) > 1:  # runs that differ in their seeds are one
             name = f"{name} and {len(one.runs) - 1} more"
         paths[name], status[name] = path, how
-        first, rows = one.runs[0].evaluation() if one.runs else None, None
-        if first is not None:
-            rows = one.evaluation.copy()
-            rows.attrs = first.attrs
-        contenders.append(compare.trained(name, one, rows))
+        contenders.append(compare.trained(name, one, one.evaluation if len(one.evaluation) else None))
     tell("ranking runs against the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
     groups: list[Group] = []

@@ -451,10 +451,6 @@ def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -
     return rows
 
 
-def _estimate(one: Record) -> str:
-    return _interval(one, MEAN, decimals(one["metric"], one["definition"]))
-
-
 def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
     """The paper's own digits; per frame, as many as ours."""
     shown = []
@@ -478,7 +474,9 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequ
     shown_alone = frame[frame["definition"].isin(list(definitions_shown))]
     for key, part in shown_alone.groupby(["algorithm", "activation", "definition"], sort=False):
         algorithm, activation, definition = map(str, key)
-        shown = _across(part, "metric", only, _estimate)
+        shown = _across(
+            part, "metric", only, lambda one: _interval(one, MEAN, decimals(one["metric"], one["definition"]))
+        )
         rows.append([name(algorithm, activation), definition, str(part["n"].max()), *shown])
     return rows
 

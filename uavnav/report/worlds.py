@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -195,16 +194,13 @@ def on_rung(episodes: pd.DataFrame) -> pd.DataFrame:
     return of_episodes(episodes).drop(columns="survive").assign(**crashed)
 
 
-@dataclass(eq=False)
 class Evidence:
     """What the claims of the discussion ask (`claims.Evidence`); means over tasks need all of them."""
 
-    seeds: Mapping[Key, pd.DataFrame]
-
-    def __post_init__(self) -> None:
-        self._seeds = dict(self.seeds)
+    def __init__(self, seeds: Mapping[Key, pd.DataFrame]) -> None:
+        self._seeds = dict(seeds)
         self._ranks = functools.cache(self._explains)
-        self._tasks = [*dict.fromkeys(task for task, _, _ in self.seeds if task == _place(task))]
+        self._tasks = [*dict.fromkeys(task for task, _, _ in self._seeds if task == _place(task))]
         for task in dict.fromkeys(task for task, _, _ in self._seeds):
             mine = {key: table for key, table in self._seeds.items() if key[0] == task}
             apart = {key: (table["reward"] - table["reward"].median()).abs() for key, table in mine.items()}
@@ -231,7 +227,7 @@ class Evidence:
         found = [self._seeds.get((task, algorithm, activation), none) for task in self._tasks]
         return found if all(map(len, found)) else []
 
-    def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
+    def _explains(self, metric: str, without: Sequence[str]) -> Array:
         """A measure's rank correlation with the reward across a task's configurations, mean over all: [S].
 
         Seeds of the same number are taken together, as a study of its own; without: some algorithms.

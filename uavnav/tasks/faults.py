@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 MOST_REMEMBERED = 1_000
-"""Observations that one can come too late by, and that a policy sees at once, for a state keeps all."""
+"""The most steps of delay, and the most stacked observations: a state keeps them all."""
 
 
 class Faults(Settings):

@@ -220,7 +220,7 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     return all_layouts, header
 
 
-# whoever flies a ladder finds its 11 layouts, which cost 110 s where layouts have goals
+# a ladder has up to 11 rungs, 110 s to draw where layouts have goals
 @functools.lru_cache(maxsize=24)
 def _drawn(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split that is no file of the package, or a rung's such as `density-12/test`; and its header."""

@@ -126,4 +126,4 @@ class Chance:
         for purpose, streams in self._streams.items():
             streams.load_state_dict(state_dict[purpose])
         starts = {name: state_dict[name].to(self._device) for name in STARTS if name in state_dict}
-        self._starts = (starts["start headings"], starts.get("start draws")) if starts else None
+        self._starts = (starts[STARTS[0]], starts.get(STARTS[1])) if starts else None

@@ -1,6 +1,7 @@
 """What the drone perceives: equations (9), (10) and (13). Pure functions of tensors of any batch shape.
 
-Letters: K obstacles of a layout, S = 28 border squares that can matter, N = K + S candidates.
+Letters: K obstacles of a layout, Q = 28 border squares that can matter, N = K + Q candidates, S slots, F
+numbers of a slot besides its distance.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def sense(
     """The ten sensed obstacles and the distance to the nearest one.
 
     x, y [...] px, heading [...] whole degrees in 0..359, obstacles [..., K, 3] of (x, y, radius) px ->
-    slots [..., 10, 3] of (right, forward, distance), eq. (13), and clearance [...] px, the smallest distance
+    slots [..., 10, 3] of (right, forward, proximity), eq. (13), and clearance [...] px, the least distance
     from the drone's centre to any circle or border square, in view or not: at most `world.drone_radius` is a
     collision.
 
@@ -117,7 +118,7 @@ def _offsets_to_circles(x: Tensor, y: Tensor, obstacles: Tensor) -> tuple[Tensor
 
 
 def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Tensor]:
-    """Offsets to the nearest points of the border squares that can be in view or nearest: dx, dy [S, ...] px.
+    """Offsets to the nearest points of the border squares that can be in view or nearest: dx, dy [Q, ...] px.
 
     Only the nearer of two opposite walls can be in view, and only its squares within the sensor's radius of
     the drone: 14 and 14 stand for all 136 (13 would do, but for a drone whose centre is on a line between
@@ -143,15 +144,17 @@ def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Ten
 def _offset_to_square(
     x: Tensor, y: Tensor, left: Tensor, bottom: Tensor, side: float
 ) -> tuple[Tensor, Tensor]:
-    """Offset from the drone to the nearest point of closed squares, zero inside: dx, dy [S, ...] px."""
+    """Offset from the drone to the nearest point of closed squares, zero inside: dx, dy [Q, ...] px."""
     return torch.clamp(x, left, left + side) - x, torch.clamp(y, bottom, bottom + side) - y
 
 
 def first_in_view(candidates: Tensor, in_view: Tensor, world: World, more: Tensor | None = None) -> Scan:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index.
 
-    candidates [F, N, ...], the distance [px] last, in_view [N, ...] bool, more [G, K, ...] further numbers of
-    the first K candidates, which are zero of the others -> numbers [F - 1 + G, 10, ...], distance [10, ...].
+    candidates [3, N, ...] (in 3D [4, N, ...]), the distance [px] last, in_view [N, ...] bool, more [G, K,
+    ...] further numbers of the first K candidates, which are zero of the others -> numbers [F, 10, ...],
+    distance [10, ...].
+
     In a graph the candidates are gone through ten times, each time for the nearest that is left: adding and
     comparing fuse and vectorise where a sort and a scatter do not, and floats where flags and integers do
     not. `FEW` candidates of less than `MANY_ROWS` rows are ranked at once instead, each by the number of
@@ -187,9 +190,9 @@ def first_in_view(candidates: Tensor, in_view: Tensor, world: World, more: Tenso
 
 
 def _one_by_one(parts: list[Tensor], key: Tensor, index: Tensor, n_slots: int) -> Tensor:
-    """The candidates with the least keys [N, ...], in order, ties by index: [F, n_slots, ...].
+    """The candidates with the least keys [N, ...], in order, ties by index: [F + 1, n_slots, ...].
 
-    parts: some of the F numbers each, of the first candidates.
+    parts: some of the F + 1 numbers each, of the first candidates.
     """
     slots = []
     for _ in range(n_slots):

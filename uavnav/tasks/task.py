@@ -59,7 +59,7 @@ class Task:
     """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same
     way.
 
-    A subclass with functions of its own says so itself; else nothing is made of it.
+    A subclass that defines functions is not static unless it sets this itself.
     """
 
     STATE: ClassVar[type[State]] = State

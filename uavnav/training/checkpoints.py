@@ -1,8 +1,8 @@
 """Snapshots of a run that is under way: whole or not there, checked when read, never unpickled.
 
-A folder contains the two newest states and, for DQN, the replay buffer as a chain of chunks to which each
-snapshot adds what is new. A file's name ends in the first half of its SHA-256, so that a cut or a flipped
-byte shows.
+A folder contains the two newest states and, where there is one, the replay buffer as a chain of chunks to
+which each snapshot adds what is new. A file's name ends in the first half of its SHA-256, so that a cut or a
+flipped byte shows.
 
     state-<frames>-<sha>.safetensors        tensors by dotted path; its header has facts and names of chunks
     replay-<first row>-<sha>.safetensors    a chunk

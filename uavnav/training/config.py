@@ -265,6 +265,11 @@ class TrainConfig(Settings):
         """Collected per seed between two rows of progress, if an iteration has fewer; unknown here."""
         return self.frames
 
+    def logs(self, frames: int) -> bool:
+        """Whether a row of progress is due after the iteration that ends after so many frames per seed."""
+        before, every = frames - self.frames_per_iteration, self.frames_between_rows
+        return frames // every > before // every or frames >= self.frames
+
     @property
     def iterations(self) -> int:
         """Whole ones, as SB3 runs them."""

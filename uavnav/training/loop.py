@@ -34,7 +34,7 @@ Row = Mapping[str, Tensor | float]  # what an algorithm says in a row of progres
 
 
 Fit = Callable[[Recorder, bool, Tell | None], Run]
-"""Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling."""
+"""Trains a recorder's run in this process: (recorder, quiet, tell) -> the run."""
 
 
 class Several(Protocol):

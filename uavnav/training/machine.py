@@ -29,7 +29,7 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as malloc.h calls them
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
 EPISODES_PAY_FROM = 2_000
-"""Steps that an episode may last from which the compilation of the world's step is paid back."""
+"""Steps that an episode may last from which the compilation of a task's step is paid back."""
 MANY = 10_000_000  # steps of all episodes, if none ended, from which the first step is compiled already
 EAGER_STEPS = 1_024
 """Of an evaluation, before its step is compiled: most episodes have ended by then, and often all of them."""
@@ -57,7 +57,7 @@ def decide(config: TrainConfig) -> bool:
 
 
 def episodes(max_steps: int | None) -> bool:
-    """Whether to compile the world's step for episodes that may last so long, where a compiler is at hand."""
+    """Whether to compile a task's step for episodes that may last so long, where a compiler is at hand."""
     return max_steps is not None and max_steps >= EPISODES_PAY_FROM and graph.problem("cpu") is None
 
 

@@ -107,7 +107,7 @@ def free_folder(config: TrainConfig) -> Path:
             told = json.dumps([plain(config), about.get("sha256")]).encode()
             return folder.with_name(f"{folder.name}-{hashlib.sha256(told).hexdigest()[:8]}")
         except RunError:
-            pass  # whoever uses the folder is told
+            pass  # training in the folder raises it
     return folder
 
 

@@ -35,7 +35,7 @@ An agent's minibatches then find these in the caches, which a step of all agents
 
 
 Read = Callable[..., TensorDictBase]
-"""Makes of a minibatch, and of tensors where these are in, what a loss is given; compiled with the step."""
+"""Turns a minibatch, and the tensors of `memory`, into what a loss takes; compiled with the step."""
 
 
 def falling(lr: float, step: Tensor, until: float) -> Tensor:

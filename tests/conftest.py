@@ -85,6 +85,17 @@ def undrawn(monkeypatch):
     monkeypatch.setattr(replays.record, "__defaults__", (3, 3, 50))
 
 
+@pytest.fixture
+def brief(monkeypatch):
+    """Where no rows of the scripted policy are kept, it flies 20 steps on 2 layouts for a report, not 10,000
+    on 200.
+    """
+    from uavnav.report import compare
+
+    fly, short = compare.fly, {"episodes": 2, "max_steps": 20}
+    monkeypatch.setattr(compare, "fly", lambda name, protocol, *more: fly(name, {**protocol, **short}, *more))
+
+
 @pytest.fixture(scope="session")
 def once(tmp_path_factory, request):
     """`once(name, make)`: a folder that `make(folder)` fills, once for all processes of this run of

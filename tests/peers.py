@@ -13,7 +13,6 @@ KINDS = {
     "tanh": torch.nn.Tanh,
     "relu": torch.nn.ReLU,
     "sigmoid": torch.nn.Sigmoid,
-    "leaky_relu": torch.nn.LeakyReLU,
 }
 
 

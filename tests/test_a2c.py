@@ -39,16 +39,15 @@ def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_limit_bootstraps_i
 # -- an update, against Stable-Baselines3's ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_one_update_of_a_rollout_from_sb3s_own_weights_equals_sb3s_train(activation):
+def test_one_update_of_a_rollout_from_sb3s_own_weights_equals_sb3s_train():
     """Two worlds of 40 steps, time limits and a collision among them: weights within 1e-5, with the norm
     clipped to 0.1.
     """
     shared = {"ent_coef": 0.02, "vf_coef": 0.7, "max_grad_norm": 0.1, "gamma": 0.9}
     shared |= {"learning_rate": 2e-2, "rms_prop_eps": 1e-4}
-    theirs = peers.on_policy(stable_baselines3.A2C, activation, steps=40, max_steps=12, **shared)
+    theirs = peers.on_policy(stable_baselines3.A2C, "relu", steps=40, max_steps=12, **shared)
     config = A2CConfig(
-        activation=activation,
+        activation="relu",
         n_envs=2,
         n_steps=40,
         entropy_coeff=0.02,

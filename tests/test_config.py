@@ -16,6 +16,7 @@ from uavnav.algorithms.dqn import PRESETS as DQN_PRESETS
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
 from uavnav.algorithms.ppo import PPOConfig
+from uavnav.algorithms.pqn import PQNConfig
 from uavnav.algorithms.sac import SACConfig
 from uavnav.cli.train import _sweep
 from uavnav.errors import ConfigError
@@ -66,6 +67,8 @@ def test_a_configuration_is_the_same_again_from_its_plain_settings_world_include
         DQNConfig(preset="fast"),
         A2CConfig(max_steps=9),
         C51Config(v_min=-1),
+        SACConfig(target_entropy=0.3),
+        PQNConfig(preset="best"),
     ):
         settings = yaml.safe_load(yaml.safe_dump(plain(config)))
         assert type(config).from_mapping(settings) == config

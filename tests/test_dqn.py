@@ -11,7 +11,6 @@ from tensordict import TensorDict
 
 from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_loss, make_network
 from uavnav.tasks.seeding import Streams
-from uavnav.training.loop import make_collector, make_env
 
 
 def losses_by_row(batch, config):
@@ -70,25 +69,25 @@ def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, how):
         assert got[row].item() == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize(("activation", "limit"), [("sigmoid", 0.75), ("leaky_relu", 0.32)])
-def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(activation, limit):
+def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s():
     """Buffer, target, loss, clipping and Adam: the weights after SB3's train() within 1e-5 of ours.
 
     Six steps of 16 environments; a round follows the fifth and the sixth. Huber's slope is at most 1, so no
-    reward takes these networks' gradients to the default limit of 10: a limit among their norms clips some
+    reward takes this network's gradients to the default limit of 10: a limit among their norms clips some
     of the updates and leaves others alone.
     """
+    limit = 0.75
     theirs = DQN(
         "MlpPolicy",
         gymnasium.make("uavnav/Drone-v0"),
-        policy_kwargs={"activation_fn": peers.KINDS[activation]},
+        policy_kwargs={"activation_fn": peers.KINDS["sigmoid"]},
         learning_rate=1e-3,
         max_grad_norm=limit,
         buffer_size=100,
         seed=0,
     )
     config = DQNConfig(
-        activation=activation,
+        activation="sigmoid",
         max_grad_norm=limit,
         lr=1e-3,
         n_envs=16,
@@ -97,7 +96,7 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
         max_steps=1000,
     )
     ours = config.make(compile=False)
-    network, other = ours.network, make_network(DQNConfig(activation=activation, seed=7))
+    network, other = ours.network, make_network(DQNConfig(activation="sigmoid", seed=7))
     with torch.no_grad():
         for target, value in zip(
             ours.loss.target_value_network_params.values(True, True),
@@ -173,25 +172,3 @@ def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
     assert DQNConfig(n_envs=16).updates_per_step == 4
     assert DQNConfig(n_envs=1).updates_per_step == 1
     assert DQNConfig(n_envs=1).frames_per_iteration == 4
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_compiled_updates_of_a_dueling_network_from_several_steps_are_eager_ones():
-    """Double, three steps, time limits of five: what each row says of its steps reaches the graph. C51's, and
-    DQN's without all this: `test_algorithms`.
-    """
-    small = {"n_seeds": 2, "n_envs": 8, "total_frames": 256, "learning_starts": 64, "hidden": (16,)}
-    more = {"n_steps": 3, "max_steps": 5, "double": True, "dueling": True, "target_update_frames": 64}
-    config = DQNConfig(**small, **more, lr=1e-3)
-    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
-    eager, compiled = (config.make(compile=compile) for compile in (False, True))
-    for frames, batch in zip(range(8, 257, 8), flown, strict=False):
-        eager.learn(batch.clone(), frames)
-        compiled.learn(batch, frames)
-    first = config.make(compile=False).network
-    for one, other, before in zip(
-        *(net.parameters() for net in (eager.network, compiled.network, first)), strict=True
-    ):
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
-        assert (one - before).abs().max() > 1e-3

@@ -174,9 +174,8 @@ def test_many_episodes_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fl
 
 @pytest.mark.slow
 @pytest.mark.compiled
-@pytest.mark.parametrize("greedy", [True, False])
-def test_a_compiled_film_is_the_row_of_a_compiled_evaluation(greedy, compiled_steps):
-    policy = dataclasses.replace(untrained(greedy=greedy), task=make_task(EMPTY, reward="additive"))
+def test_a_compiled_film_is_the_row_of_a_compiled_evaluation(compiled_steps):
+    policy = dataclasses.replace(untrained(greedy=False), task=make_task(EMPTY, reward="additive"))
     rows = evaluate_policy(policy, max_steps=80, seed=5)
     flown = render.fly(Pilot("", policy, policy.task, 5), layouts.load("test"), 11, 80)
     assert compiled_steps

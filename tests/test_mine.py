@@ -20,13 +20,6 @@ from uavnav.training.checkpoints import Checkpoints
 OWN = {"study": ""}
 
 
-@pytest.fixture
-def brief(monkeypatch):
-    """Where no rows of the scripted policy are kept, it flies 20 steps on 2 layouts, not 10,000 on 200."""
-    fly, short = compare.fly, {"episodes": 2, "max_steps": 20}
-    monkeypatch.setattr(compare, "fly", lambda name, protocol, *more: fly(name, {**protocol, **short}, *more))
-
-
 def flown(*rewards, seed=0):
     """Test episodes in both modes, the sampled ones with these rewards, one a layout."""
     table = rows(seed, *[(10, 10, 0, 0, 0, 50, reward, True, False) for reward in rewards])

@@ -85,15 +85,14 @@ def test_advantages_and_targets_are_torchrls_own_bit_for_bit(shape):
 # -- an iteration, against Stable-Baselines3's ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_12_minibatches_of_a_rollout_in_the_same_order_equal_sb3s_train(activation, monkeypatch):
+def test_12_minibatches_of_a_rollout_in_the_same_order_equal_sb3s_train(monkeypatch):
     """Two worlds of 64 steps, three epochs of four minibatches: weights within 1e-5, with ratios and
     norms clipped.
     """
     shared = {"ent_coef": 0.02, "max_grad_norm": 1.5, "learning_rate": 3e-3, "n_epochs": 3, "batch_size": 32}
-    theirs = peers.on_policy(stable_baselines3.PPO, activation, steps=64, max_steps=24, **shared)
+    theirs = peers.on_policy(stable_baselines3.PPO, "tanh", steps=64, max_steps=24, **shared)
     config = PPOConfig(
-        activation=activation,
+        activation="tanh",
         n_envs=2,
         frames_per_batch=128,
         minibatch_size=32,

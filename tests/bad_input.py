@@ -1138,7 +1138,7 @@ CASES = [
     word("evaluate theirs.zip --activation rleu", "theirs.zip: unknown activation 'rleu'",
         "choose from crelu, "),
     word("evaluate nowhere.zip --activation relu", "nowhere.zip: no such file",
-        "what model.save of PPO or DQN wrote"),
+        "what model.save of PPO, A2C or DQN wrote"),
     word("evaluate theirs.zip other/theirs.zip --activation relu --out rows", "--out rows: two policies",
         "rename one"),
     word("evaluate ppo-tanh other/ppo-tanh.zip --activation relu --out rows", "--out rows: two policies",

@@ -221,7 +221,7 @@ REFUSED = {
         {"policy.pth": changed(action_net__weight=lambda old: torch.zeros(1, 1).expand(2**19, 2**19))},
         "more than 67,108,864 bytes of weights",
     ),
-    "no layers": ({"policy.pth": pth({})}, "no MlpPolicy of PPO or DQN"),
+    "no layers": ({"policy.pth": pth({})}, "no MlpPolicy of PPO, A2C or DQN"),
     "SAC": (
         {"policy.pth": pth({"actor.mu.weight": torch.zeros(2, 8)})},
         "for its action_net.bias, action_net.weight",

@@ -185,7 +185,7 @@ def test_a_signal_saves_all_workers_as_the_run_says(whom, tmp_path):
     _, said = process.communicate(timeout=240)
     frames = saved(tmp_path / "run")
     assert len(frames) == 2
-    assert f"stopped by SIGTERM and saved at {min(frames):,} of 400,000 frames" in said
+    assert f"stopped by SIGTERM and saved at {min(frames):,} of 400,128 frames" in said
     assert not locked(tmp_path / "run")
 
 

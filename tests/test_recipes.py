@@ -255,7 +255,11 @@ def test_a_run_that_diverges_says_so_though_nothing_is_evaluated(recipe, tmp_pat
         assert "is not finite, it diverged" in err
 
 
-def test_of_a_sweep_the_configurations_beside_one_that_diverges_are_trained(recipe, tmp_path):
+def test_of_a_sweep_the_configurations_beside_one_that_diverges_are_trained_and_evaluated(
+    recipe, tmp_path, monkeypatch
+):
+    evaluate = evaluation.evaluate_run
+    monkeypatch.setattr("uavnav.cli.train.evaluate_run", lambda run, **how: evaluate(run, 2, 20, **how))
     sizes = ["total_frames=128", "epochs=2", *SMALL_BATCHES]
     for _ in range(2):
         status, _, err = recipe(
@@ -264,4 +268,4 @@ def test_of_a_sweep_the_configurations_beside_one_that_diverges_are_trained(reci
         assert status == 2
         assert err.count("\n") == 1
         assert "is not finite, it diverged" in err
-    assert (Run(tmp_path / "runs" / "0.001").path / "evaluation.parquet").exists()
+    assert (Run(tmp_path / "runs" / "0.001").path / "evaluation-test-2-20.parquet").exists()

@@ -334,13 +334,13 @@ def test_an_activation_in_plain_text_is_read_and_the_pickle_beside_it_is_not(nam
     assert not (tmp_path / "a pickle was executed").exists()
 
 
-def test_beside_a_scripted_policy_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_path, capsys):
-    *_, path, activation = saved
+def test_beside_a_scripted_policy_in_another_world_a_zips_rows_are_of_its_own(tmp_path, capsys):
+    path = zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
     words = [
         "--task",
         "goal",
         "--activation",
-        activation,
+        "tanh",
         "--layouts",
         "validation",
         "--episodes",
@@ -348,7 +348,7 @@ def test_beside_a_scripted_policy_in_another_world_a_zips_rows_are_of_its_own(sa
         "--out",
     ]
     assert main(["evaluate", "reactive", str(path), *words, str(tmp_path), "--max-steps", "5"]) == 0
-    files = ["model-greedy-validation-2-5", "model-sampled-validation-2-5", "reactive-goal-validation-2-5"]
+    files = ["reactive-goal-validation-2-5", "theirs-greedy-validation-2-5", "theirs-sampled-validation-2-5"]
     assert sorted(one.stem for one in tmp_path.glob("*.parquet")) == files
     assert "reactive on 2 validation layouts" in capsys.readouterr().out
 

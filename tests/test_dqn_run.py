@@ -276,20 +276,27 @@ def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
     assert torch.equal(whole(ring), torch.cat([newest[16:], newest[:16]]))  # frames 48 to 79, then 32 to 47
 
 
+@pytest.fixture(scope="module")
+def full(tmp_path_factory):
+    """Nothing is learned, under a time limit out of reach: next observations are kept."""
+    config = DQNConfig(**UNLEARNED, max_steps=10_000, buffer_size=400, compile="off")
+    return watch(config, tmp_path_factory.mktemp("full") / "run")
+
+
 @pytest.mark.parametrize("size", [400, 88])
-def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_them_holds(tmp_path, size):
+def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_them_holds(
+    full, tmp_path, size
+):
     """25 steps of 16 environments, nothing is learned: the two runs fly alike, one of them under a time limit
     out of reach.
 
     A buffer of 88 rows is full after five and a half steps, so that later ones lie across its end.
     """
-    config = DQNConfig(**UNLEARNED, buffer_size=size, compile="off")
-    lean = watch(config, tmp_path / "lean")
-    full = watch(config.replace(max_steps=10_000, buffer_size=400), tmp_path / "full")
+    lean = watch(DQNConfig(**UNLEARNED, buffer_size=size, compile="off"), tmp_path / "lean")
     assert "observation" not in lean.stored["next"].keys()  # noqa: SIM118  (a TensorDict is not a dict)
     assert len(lean.minibatches) == len(full.minibatches) == 23 * 4
     for agent in (0, 1):
-        everything = full.stored[:, agent]
+        everything = full.stored[:, agent].clone()
         collided = everything["next", "terminated"].squeeze(-1)
         everything["next", "observation"][collided] = (
             0.0  # worth nothing, and in the lean buffer another episode's

@@ -158,22 +158,21 @@ def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, exported
 SENSED = {"sense_velocity": True}
 
 
-@pytest.mark.parametrize("suffix", READ)
 @pytest.mark.parametrize(
-    ("task", "size", "world"),
+    ("suffix", "task", "size", "world"),
     [
-        ("drone", 30, {}),
-        ("goal", 33, {}),
-        ("space", 40, {}),
-        ("moving", 50, SENSED),
-        ("space-moving", 70, SENSED),
+        (".onnx", "drone", 30, {}),
+        (".pt2", "goal", 33, {}),
+        (".pt2", "space", 40, {}),
+        (".onnx", "moving", 50, SENSED),
+        (".onnx", "space-moving", 70, SENSED),
     ],
 )
 def test_values_are_those_after_the_head_whose_largest_is_the_greedy_action(
     tmp_path, suffix, task, size, world, monkeypatch
 ):
-    """As of a distribution of values: 100 actions with 3 numbers each. In each world as many numbers go
-    in.
+    """As of a distribution of values: 100 actions with 3 numbers each. In each world as many numbers go in;
+    the rest is the same in all, so that each has one kind of file.
     """
     monkeypatch.setitem(HEADS, "mean-of-3", lambda outputs: outputs.unflatten(-1, (100, 3)).mean(-1))
     network = mlp([size, 16, 300], "relu", [torch.Generator().manual_seed(3)], "default")

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -129,6 +130,16 @@ def study(tmp_path, warm):
         engine.close()
 
 
+@pytest.fixture(scope="module")
+def alone(once):
+    """The run of one process, the same for all tests and not to be changed."""
+
+    def make(folder):
+        train(CONFIG, folder / "run", quiet=True, processes=1)
+
+    return Run(once("liveness", make) / "run")
+
+
 def impatient(monkeypatch, **seconds):
     for name, value in ({"POLL": 0.05, "SAY": 0.3, "IDLE": 1.0} | seconds).items():
         monkeypatch.setattr(run, f"{name}_SECONDS", value)
@@ -145,8 +156,8 @@ def test_a_study_whose_engine_never_tells_an_end_ends_with_the_same_rows(study, 
     assert not parting("progress", alone.progress, there.progress)
 
 
-def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tmp_path):
-    train(CONFIG, tmp_path / "out" / "ppo" / "tanh", quiet=True, processes=1)
+def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, alone, tmp_path):
+    shutil.copytree(alone.path, tmp_path / "out" / "ppo" / "tanh")
     failed, _ = study(NeverEnds())
     assert failed == []
     left = {path.name for path in (tmp_path / "out" / "ppo" / "tanh").iterdir()}
@@ -155,8 +166,8 @@ def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tm
     assert not [name for name in left if name.startswith(run.EPISODES)]
 
 
-def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_not(study, tmp_path):
-    there = train(CONFIG, tmp_path / "out" / "ppo" / "tanh", quiet=True, processes=1)
+def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_not(study, alone, tmp_path):
+    there = shutil.copytree(alone.path, tmp_path / "out" / "ppo" / "tanh")
 
     class Killed(Engine):
         def start(self, jobs):
@@ -169,8 +180,8 @@ def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_
     failed, said = study(engine)
     assert (failed, engine.given) == ([], 2)
     assert said[0].endswith("the job of its evaluation is gone; given again")
-    (there.path / "evaluation-test-2-20.parquet").unlink()
-    (there.path / "policy.safetensors").write_bytes(b"damaged")
+    (there / "evaluation-test-2-20.parquet").unlink()
+    (there / "policy.safetensors").write_bytes(b"damaged")
     engine = Engine()
     (failed,), _ = study(engine)
     assert engine.given == 1
@@ -178,7 +189,7 @@ def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_
 
 
 def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_snapshot(
-    study, tmp_path, monkeypatch
+    study, alone, tmp_path, monkeypatch
 ):
     impatient(monkeypatch, SILENT=12.0, IDLE=600.0)
     stops_itself = """
@@ -210,7 +221,6 @@ runpy.run_module("uavnav.cli.worker", run_name="__main__", alter_sys=True)
     assert (failed, engine.given) == ([], 2)
     assert any(re.search(r"has been silent for \d\d s and counts as dead", line) for line in said)
     assert any("its job is gone; given again, from its last snapshot" in line for line in said)
-    alone = train(CONFIG, tmp_path / "alone", quiet=True, processes=1)
     assert not parting("episodes", alone.episodes, Run(tmp_path / "out" / "ppo" / "tanh").episodes)
 
 

@@ -22,7 +22,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from uavnav import ConfigError, RunError
 from uavnav.algorithms import dqn, ppo
 from uavnav.runs import POLICY, Run
-from uavnav.runs.metrics import LAST
 from uavnav.runs.tables import with_reward
 from uavnav.training import loggers
 from uavnav.training.loggers import Logs, chosen
@@ -38,8 +37,10 @@ SHORT = {
     "epochs": 1,
     "n_seeds": 2,
     "seed": 3,
+    "max_steps": 10,
     "compile": "off",
 }
+"""Of a run whose seeds end more than 100 episodes."""
 BOTH = ["tensorboard", "wandb"]
 
 
@@ -53,15 +54,15 @@ def train(out, **how):
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory):
-    """The run without any log."""
-    return train(tmp_path_factory.mktemp("plain") / "run")
+def plain(once, warm_module):
+    """The run without any log, once for all processes as the next."""
+    return Run(once("plain", lambda folder: train(folder / "run")) / "run")
 
 
 @pytest.fixture(scope="module")
-def logged(tmp_path_factory):
+def logged(once, warm_module):
     """The same with two."""
-    return train(tmp_path_factory.mktemp("logged") / "run", logger=BOTH)
+    return Run(once("logged", lambda folder: train(folder / "run", logger=BOTH)) / "run")
 
 
 def scalars(run):
@@ -130,7 +131,7 @@ def expected(run):
         ended = run.episodes.query(
             "(terminated or truncated) and seed == @row['seed'] and frame <= @row['frame']"
         )
-        last = ended.sort_values(["frame", "env"], kind="stable")["reward"].tail(LAST)
+        last = ended.sort_values(["frame", "env"], kind="stable")["reward"].tail(100)
         for column, value in {**row, "reward": last.mean()}.items():
             if column not in ("seed", "frame") and np.isfinite(value):
                 found[column, row["seed"], row["frame"]] = value
@@ -154,6 +155,8 @@ READ = [pytest.param(scalars, id="tensorboard"), pytest.param(history, id="wandb
 
 @pytest.mark.parametrize("read", READ)
 def test_a_log_holds_each_column_of_progress_and_the_recent_reward_of_each_seed(logged, read):
+    ended = logged.episodes.query("terminated or truncated")
+    assert ended.groupby("seed").size().min() > 100
     assert_logged(logged, read)
     assert {seed for _, seed, _ in read(logged)} == {3, 4}
     assert {frame for *_, frame in read(logged)} == set(range(256, 1537, 256))

@@ -258,8 +258,8 @@ def test_a_run_that_diverges_says_so_though_nothing_is_evaluated(recipe, tmp_pat
 def test_of_a_sweep_the_configurations_beside_one_that_diverges_are_trained_and_evaluated(
     recipe, tmp_path, monkeypatch
 ):
-    short = lambda run, quiet: evaluation.evaluate_run(run, 2, 20, quiet=quiet)  # noqa: E731
-    monkeypatch.setattr("uavnav.cli.train.evaluate_run", short)
+    evaluate = evaluation.evaluate_run
+    monkeypatch.setattr("uavnav.cli.train.evaluate_run", lambda run, **how: evaluate(run, 2, 20, **how))
     sizes = ["total_frames=128", "epochs=2", *SMALL_BATCHES]
     for _ in range(2):
         status, _, err = recipe(

@@ -1,6 +1,7 @@
 """The whole of a report: its page, Markdown, tables and figures, and what else may be in them."""
 
 import math
+import pickle
 import re
 import warnings
 
@@ -61,11 +62,17 @@ def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_pap
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole(once, little_garbage, warm_module):
     """A folder with runs of the paper's algorithms and of a third one, what is said of them, without a
-    warning, and the report that says it.
+    warning, and the report that says it; the same for all processes.
     """
-    path = tmp_path_factory.mktemp("whole") / "results"
+    folder = once("whole-report", write_whole)
+    gathered = pickle.loads((folder / "gathered").read_bytes())
+    return folder / "results", gathered, Written(folder / "one" / "report.html", gathered.left_out)
+
+
+def write_whole(folder):
+    path = folder / "results"
     episodes = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(
         mode="sampled"
     )
@@ -81,8 +88,8 @@ def whole(tmp_path_factory):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gathered = gather([path])
-    _write_all(path.parent / "one", contents(gathered, path))
-    return path, gathered, Written(path.parent / "one" / "report.html", gathered.left_out)
+    _write_all(folder / "one", contents(gathered, path))
+    (folder / "gathered").write_bytes(pickle.dumps(gathered))
 
 
 @pytest.mark.slow

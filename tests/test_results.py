@@ -252,34 +252,21 @@ def test_the_rule_finds_the_papers_tables_if_they_are_true_and_nothing_where_not
     assert shares[5, TABLES, "open"] == shares[5, EQUAL, "open"] == 1
 
 
-@pytest.fixture(scope="module")
-def content():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(ROOT)
-        patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
-        return gather([Path("results")], lambda configurations: {"configurations": [], "left_out": []})
-
-
 def from_rows(text):
     return [line for line in text.splitlines() if line and line[0] != "!"]
 
 
 @pytest.mark.slow
-def test_the_committed_report_is_what_the_rows_give(content):
+def test_the_committed_report_conclusions_and_tables_are_what_the_rows_give(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("uavnav.report.figures.draw", lambda *anything: [])
+    content = gather([Path("results")], lambda configurations: {"configurations": [], "left_out": []})
     assert from_rows(markdown(content)) == from_rows((RESULTS / "report.md").read_text())
-
-
-@pytest.mark.slow
-def test_the_committed_conclusions_are_what_the_rows_give(content):
     assert from_rows(results(content)) == from_rows((ROOT / "docs" / "results.md").read_text())
     for page in BLOCKS:
         if page != "docs/algorithms.md":  # which has times and memory of another file
             _, _, rest = (ROOT / page).read_text().partition(BEGIN)
             assert from_rows(rest.partition(END)[0]) == from_rows(block(content, page)), page
-
-
-@pytest.mark.slow
-def test_the_committed_tables_are_what_the_rows_give(content):
     assert {path.stem for path in (RESULTS / "tables").glob("*.csv")} == content.tables.keys()
     for name, table in content.tables.items():
         committed = pd.read_csv(RESULTS / "tables" / f"{name}.csv")

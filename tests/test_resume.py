@@ -19,7 +19,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from uavnav import files
 from uavnav.algorithms import dqn, ppo
 from uavnav.envs.env import DroneEnv
-from uavnav.runs import STOP
+from uavnav.runs import STOP, Run
 from uavnav.runs.tables import RunError
 from uavnav.training import checkpoints
 from uavnav.training.recorder import Interrupted, Recorder
@@ -73,10 +73,11 @@ of_ppo, of_dqn = (pytest.mark.parametrize("whole", [name], indirect=True) for na
 
 
 @pytest.fixture(scope="module", params=["ppo", *RINGS])
-def whole(request, tmp_path_factory):
-    """An uninterrupted run."""
+def whole(request, once):
+    """An uninterrupted run, the same for all processes and not to be changed."""
     train, config = ALGORITHMS[request.param]
-    return train, config, train(config, out=tmp_path_factory.mktemp("whole") / "run", quiet=True)
+    folder = once(f"whole-{request.param}", lambda folder: train(config, out=folder / "run", quiet=True))
+    return train, config, Run(folder / "run")
 
 
 def stop_at(monkeypatch, frames, how):
@@ -103,28 +104,27 @@ def interrupted(whole, folder, frames, number=signal.SIGINT):
 
 
 @pytest.fixture(scope="module")
-def stopped(whole, tmp_path_factory):
+def stopped(whole, once):
     """Puts into a folder a copy of the run that was stopped after so many frames; each is trained once."""
-    there = tmp_path_factory.mktemp("stopped")
+    _, _, run = whole
 
     def copy(folder, *stops):
-        made = there / "-".join(map(str, stops))
-        if not made.exists():
+        def make(there):
             if len(stops) > 1:
-                copy(made, *stops[:-1])
-            interrupted(whole, made, stops[-1])
-        return shutil.copytree(made, folder)
+                copy(there / "run", *stops[:-1])
+            interrupted(whole, there / "run", stops[-1])
+
+        name = "-".join(map(str, (run.path.parent.name, *stops)))
+        return shutil.copytree(once(name, make) / "run", folder)
 
     return copy
 
 
-@pytest.mark.parametrize(
-    ("number", "frames"), [(signal.SIGINT, 16), (signal.SIGTERM, 1000), (signal.SIGINT, 1600)]
-)
-def test_a_run_stopped_by_a_signal_and_resumed_ends_the_same(whole, tmp_path, number, frames):
+def test_a_run_stopped_three_times_by_signals_and_resumed_ends_the_same(whole, tmp_path):
     train, config, run = whole
     before = signal.getsignal(signal.SIGINT)  # ignored, where the tests run behind a shell
-    interrupted(whole, tmp_path / "run", frames, number)
+    for number, frames in ((signal.SIGINT, 16), (signal.SIGTERM, 1000), (signal.SIGINT, 1600)):
+        interrupted(whole, tmp_path / "run", frames, number)
     resumed = train(config, out=tmp_path / "run", quiet=True)
     same(run.path, resumed.path)
     assert signal.getsignal(signal.SIGINT) is before
@@ -138,13 +138,6 @@ def test_the_first_ctrl_c_on_a_terminal_says_what_happens_and_elsewhere_nothing(
     monkeypatch.setattr(type(sys.stderr), "isatty", lambda self: self is sys.stderr)
     interrupted(whole, tmp_path / "again", 16)
     assert capfd.readouterr().err.count("stopping: the run is saved after this iteration") == 1
-
-
-def test_a_run_stopped_four_times_ends_the_same(whole, tmp_path):
-    train, config, run = whole
-    for frames in (300, 800, 1100, 1900):
-        interrupted(whole, tmp_path / "run", frames)
-    same(run.path, train(config, out=tmp_path / "run", quiet=True).path)
 
 
 class Killed(BaseException):

@@ -3,6 +3,7 @@ stopped.
 """
 
 import contextlib
+import json
 import os
 import random
 import re
@@ -26,7 +27,7 @@ from uavnav.algorithms.sac import SACConfig
 from uavnav.cli import worker
 from uavnav.errors import ConfigError
 from uavnav.evaluation.verify import verify
-from uavnav.runs import FILES, run_folders
+from uavnav.runs import FILES, Run, run_folders
 from uavnav.runs.policies import load_policy
 from uavnav.runs.tables import RunError
 from uavnav.training import machine, workers
@@ -59,17 +60,18 @@ def test_a_worker_that_is_given_again_has_the_next_name_and_is_found_by_it(tmp_p
 
 
 @pytest.fixture(scope="module")
-def spread_run(tmp_path_factory):
-    told = []
-    config = PPOConfig(n_seeds=3, **SMALL)
-    run = train(
-        config,
-        tmp_path_factory.mktemp("spread") / "run",
-        quiet=True,
-        processes=2,
-        tell=lambda *now: told.append(now),
-    )
-    return run, told
+def spread_run(once, warm_module):
+    """And the frames that it told, each with the number of its seeds' rewards; the same for all processes."""
+
+    def make(folder):
+        told = []
+        how = {"quiet": True, "processes": 2}
+        how["tell"] = lambda frames, rewards: told.append((frames, len(rewards)))
+        train(PPOConfig(n_seeds=3, **SMALL), folder / "run", **how)
+        (folder / "told.json").write_text(json.dumps(told))
+
+    folder = once("spread", make)
+    return Run(folder / "run"), json.loads((folder / "told.json").read_text())
 
 
 def test_a_spread_run_holds_the_rows_and_weights_of_its_workers(spread_run, tmp_path):
@@ -111,7 +113,7 @@ def test_it_tells_how_far_all_seeds_are(spread_run):
     frames = [frames for frames, _ in told]
     assert frames == sorted(frames)
     assert frames[-1] == 1024
-    assert len(told[-1][1]) == 3
+    assert told[-1][1] == 3
 
 
 @pytest.mark.parametrize("until", [512, 1024])  # also behind the last frame, before the run is written
@@ -295,10 +297,12 @@ def test_what_a_worker_stumbles_over_is_said_in_one_line_also_where_it_cannot_be
 
 
 @pytest.mark.slow
-def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
+def test_dqn_spreads_as_well_also_before_its_first_row_and_its_memory_is_counted_for_all_seeds(tmp_path):
     settings = {"n_envs": 64, "n_seeds": 2, "total_frames": 640, "learning_starts": 128, "compile": "off"}
     run = train_dqn(DQNConfig(**settings), tmp_path / "run", quiet=True, processes=2)
     assert run.progress["seed"].unique().tolist() == [0, 1]
+    assert run.progress["frame"].min() > 64
+    assert verify(run, frames=64, quiet=True).same  # a snapshot of two empty tables
     with pytest.raises(ConfigError, match="n_seeds=1000: the buffer would take"):
         train_dqn(DQNConfig(n_seeds=1000, compile="off"), tmp_path / "large", quiet=True, processes=2)
     assert not (tmp_path / "large").exists()
@@ -367,19 +371,6 @@ def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_i
     with pytest.raises(ConfigError, match=line):
         train(PPOConfig(n_seeds=2, activation="mine", **SMALL), tmp_path / "run", quiet=True, processes=2)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.slow
-def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
-    """DQN's first row of progress comes at 4,992 frames."""
-    run = train_dqn(
-        DQNConfig(n_envs=64, n_seeds=2, total_frames=640, compile="off"),
-        tmp_path / "run",
-        quiet=True,
-        processes=2,
-    )
-    verdict = verify(run, frames=64, quiet=True)
-    assert verdict.same
 
 
 def test_a_spread_run_took_as_long_as_the_slower_of_its_workers(tmp_path, monkeypatch):

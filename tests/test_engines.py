@@ -115,11 +115,14 @@ def study(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory, warm_module):
-    """What one machine gives: both configurations, undisturbed."""
-    started = Started(tmp_path_factory.mktemp("alone"), STUDY + SECOND)
-    started.finished(started("checkpoint_seconds=60"))
-    return started.out
+def alone(once, warm_module):
+    """What one machine gives: both configurations, undisturbed; once for all processes."""
+
+    def make(folder):
+        started = Started(folder, STUDY + SECOND)
+        started.finished(started("checkpoint_seconds=60"))
+
+    return once("alone", make) / "out"
 
 
 def signal_all(number, processes):

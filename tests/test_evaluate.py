@@ -152,13 +152,15 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "task"), [([], "moving"), (["--task", "goal"], "goal")], ids=["not given", "given"]
+    ("words", "file"),
+    [([], "random-moving"), (["--task", "goal"], "random-goal"), (["--task", "drone"], "random")],
+    ids=["not given", "given", "the paper's"],
 )
-def test_a_scripted_policy_beside_a_run_flies_the_runs_task_unless_another_is_given(tmp_path, words, task):
+def test_a_scripted_policy_beside_a_run_flies_the_runs_task_unless_another_is_given(tmp_path, words, file):
     run, out = write_policies(tmp_path / "run", n_seeds=1, task="moving", reward="eq14"), tmp_path / "out"
     brief = ["--episodes", "2", "--max-steps", "5", "--quiet"]
     assert fly_command([str(run), "random", *brief, *words, "--out", str(out)]) == 0
-    assert [path.name for path in out.iterdir()] == [f"random-{task}-test-2-5.parquet"]
+    assert [path.name for path in out.iterdir()] == [f"{file}-test-2-5.parquet"]
 
 
 @pytest.mark.parametrize(
@@ -336,9 +338,9 @@ def test_rows_under_the_shield_with_faults_or_on_the_way_are_not_a_runs_evaluati
         evaluate_run(run, 2, 5, **other)
     assert len(run.evaluations()) == 2
     assert run.evaluation() is None
-    evaluate_run(run, 2, 5)
-    assert run.evaluation().attrs == {"layouts": "test", "episodes": 2, "max_steps": 5}
-    assert run.behaviour_file() == run.path / "behaviour-test-2-5.parquet"
+    evaluate_run(run, 2, 5, faults=NO_FAULTS)  # as in training
+    assert run.evaluation().attrs == {"layouts": "test", "episodes": 2, "max_steps": 5, "faults": "none"}
+    assert run.behaviour_file() == run.path / "behaviour-test-2-5-none.parquet"
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)

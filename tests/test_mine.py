@@ -140,7 +140,7 @@ def test_people_are_ranked_with_runs_of_their_reward_alone_and_no_run_has_their_
     write_table(tmp_path / "baselines" / "human.parquet", rewards)
     found = mine.gather(collect([tmp_path])[0], {}, [tmp_path], tmp_path, lambda _: None)
     assert sorted(sorted(one.name for one in group.contenders) for group in found.groups) == [
-        [str(tmp_path / "you"), "you"],
+        ["./you", "you"],
         ["first"],
     ]
 

@@ -3,6 +3,7 @@ nowhere else.
 """
 
 import hashlib
+import importlib
 import json
 import os
 import re
@@ -438,6 +439,28 @@ def test_a_plugin_that_is_a_folder_is_another_one_once_any_of_its_files_changes(
         plugins.load("my_package")
         seen.add(plugins.LOADED.pop("my_package"))
     assert len(seen) == 3
+
+
+def test_a_folder_that_cannot_be_imported_leaves_nothing_and_is_loaded_whole_once_it_is_mended(
+    tmp_path, monkeypatch
+):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(plugins, "LOADED", {})
+    (tmp_path / "half_package").mkdir()
+    begin, bend = tmp_path / "half_package" / "__init__.py", tmp_path / "half_package" / "bends.py"
+    bend.write_text("from uavnav import networks\nnetworks.ACTIVATIONS['half'] = abs\n")
+    begin.write_text("from half_package import bends\n1 / 0\n")
+    before = dict(uavnav.networks.ACTIVATIONS)
+    with pytest.raises(ConfigError, match="cannot be imported"):
+        plugins.load("half_package")
+    assert before == uavnav.networks.ACTIVATIONS
+    begin.write_text("from half_package import bends\n")
+    importlib.invalidate_caches()
+    plugins.load("half_package")
+    try:
+        assert {**before, "half": abs} == uavnav.networks.ACTIVATIONS
+    finally:
+        del uavnav.networks.ACTIVATIONS["half"], uavnav.networks.KNOWN["half"]
 
 
 def test_a_module_that_is_not_there_is_one_line_and_no_names_are_no_import(tmp_path, monkeypatch):

@@ -48,36 +48,41 @@ def load(names: str | Sequence[str] | None) -> None:
             continue
         if "/" in name or not all(name.split(".")):
             raise ConfigError(f"plugins={name}: is no module's name; give one, such as my_module")
-        before = [dict(table) for table, _ in TABLES.values()]
+        before, modules = [dict(table) for table, _ in TABLES.values()], {*sys.modules}
         try:
-            module = importlib.import_module(name)
-        except (Exception, SystemExit) as error:  # whatever a user's module raises
-            if isinstance(error, ModuleNotFoundError) and error.name == name:
-                where = f"is no module in {os.getcwd()} or on PYTHONPATH"
-                raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error
-            problem = f"{type(error).__name__}: {error}".splitlines()[0]
-            raise ConfigError(f"plugins={name}: cannot be imported ({problem})") from error
-        finally:
-            added = _taken_out(before)
-        for setting, (_, known) in TABLES.items():
-            if taken := sorted(added[setting].keys() & known.keys()):
-                del sys.modules[name]  # so that it is refused the next time too
-                raise ConfigError(
-                    f"plugins={name}: {setting}={taken[0]} is there already; give yours another name"
-                )
-        for setting, tables in TABLES.items():
-            for table in tables:
-                table |= added[setting]
+            module = _imported(name)
+            added = [_added(name, setting, old) for setting, old in zip(TABLES, before, strict=True)]
+        except ConfigError:  # nothing of it stays, so that it can be mended and loaded again
+            for (table, _), old in zip(TABLES.values(), before, strict=True):
+                table.clear()
+                table |= old
+            for one in {*sys.modules} - modules:
+                if one == name or one.startswith(f"{name}."):
+                    del sys.modules[one]
+            raise
+        for (_, known), new in zip(TABLES.values(), added, strict=True):
+            known |= new
         LOADED[name] = _sha256(module)
 
 
-def _taken_out(before: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """What a module has put into each table, by setting; the tables are again as before."""
-    added = {}
-    for (setting, (table, _)), old in zip(TABLES.items(), before, strict=True):
-        added[setting] = {key: value for key, value in table.items() if old.get(key) is not value}
-        table.clear()
-        table |= old
+def _imported(name: str) -> ModuleType:
+    """A module by name; raises a ConfigError where it cannot be imported."""
+    try:
+        return importlib.import_module(name)
+    except (Exception, SystemExit) as error:  # whatever a user's module raises
+        if isinstance(error, ModuleNotFoundError) and error.name == name:
+            where = f"is no module in {os.getcwd()} or on PYTHONPATH"
+            raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error
+        problem = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise ConfigError(f"plugins={name}: cannot be imported ({problem})") from error
+
+
+def _added(name: str, setting: str, before: Mapping[str, Any]) -> dict[str, Any]:
+    """What a plugin has put into a table; raises a ConfigError where it takes a name that is there."""
+    table, known = TABLES[setting]
+    added = {key: value for key, value in table.items() if before.get(key) is not value}
+    if taken := sorted(added.keys() & known.keys()):
+        raise ConfigError(f"plugins={name}: {setting}={taken[0]} is there already; give yours another name")
     return added
 
 

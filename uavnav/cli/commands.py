@@ -288,11 +288,7 @@ SHIELD = "the nearest action that cannot collide in the next step"
 WHICH_LAYOUTS = _value(
     "--layouts", f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path", "test"
 )
-TASK = _value(
-    "--task",
-    f"that scripted policies fly in: {TASKS} (default: that of the run, or drone)",
-    default="drone",
-)
+WHICH_TASK = f"that scripted policies fly in: {TASKS} (default: that of the run, or drone)"
 FAULTS = _value(
     "--faults",
     "fly with these faults, or with none, instead of those of training, such as noise=5,late=2",
@@ -314,7 +310,7 @@ EPISODE = (
     ),
     ACTIVATION,
     WHICH_LAYOUTS,
-    TASK,
+    _value("--task", WHICH_TASK, default="drone"),
     _value("--layout", "index of the layout", 0),
     PLUGINS,
 )
@@ -368,7 +364,7 @@ EVALUATE = Usage(
             type=whole,
         ),
         WHICH_LAYOUTS,
-        TASK,
+        _value("--task", WHICH_TASK),
         FAULTS,
         _value(
             "--at",

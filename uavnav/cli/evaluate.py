@@ -25,7 +25,7 @@ from uavnav.tasks.table import TASKS, name_of
 from uavnav.tasks.task import Task
 
 MOST_SEEDS = 1_000  # of a scripted policy
-USUAL = {"task": "drone", "seeds": 1, "layouts": "test", "alone": False, "shield": False, "measures": False}
+USUAL = {"seeds": 1, "layouts": "test", "alone": False, "shield": False, "measures": False}
 """Options that are always there, and their values where they are not given."""
 OF_ONE_SPLIT = {
     "faults": "ladders and tasks of training have their own",
@@ -70,11 +70,11 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
 
 
 def _trained_in(found: Iterable[Run | Flyer]) -> Iterator[str]:
-    """The tasks of runs and of other learned policies."""
+    """The tasks of runs and of other learned policies, if they are known here."""
     for one in found:
-        if isinstance(one, Run):
-            yield str(one.config.get("task", "drone"))
-        elif one.task is not None:
+        if isinstance(one, Run) and (name := str(one.config.get("task", "drone"))) in TASKS:
+            yield name
+        elif isinstance(one, Flyer) and one.task is not None:
             yield name_of(one.task)
 
 
@@ -135,8 +135,7 @@ def main(arguments: Namespace) -> int:
         raise ConfigError(f"--out {arguments.out}: two policies of one name would share a file; rename one")
     found = {name: _found(name, arguments) for name in arguments.runs}
     _check(arguments, found)
-    if arguments.task == USUAL["task"]:
-        arguments.task = next(_trained_in(found.values()), arguments.task)
+    arguments.task = arguments.task or next(_trained_in(found.values()), "drone")
     for one in found.values():
         for path in _files(one, arguments).values() if isinstance(one, Flyer) else ():
             check_out(path)

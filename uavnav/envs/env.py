@@ -63,7 +63,7 @@ def _device(device: Any) -> torch.device:
     try:
         torch.empty(0, device=device)
         return torch.device(device)
-    except (AssertionError, RuntimeError, TypeError, ValueError) as error:
+    except (AssertionError, ImportError, RuntimeError, TypeError, ValueError) as error:
         raise ConfigError(f"device={told(device)}; choose cpu, or a device that this machine has") from error
 
 

@@ -99,13 +99,14 @@ def _kept(name: str, protocol: Mapping[str, Any], run: str | None) -> Contender 
     if name not in SCRIPTED or run is None or protocol != Protocol().header():
         return None
     path = Path(run).absolute() / "config.yaml"
-    settings = read_settings(path)
-    if settings.get("task", "drone") != "drone" or any((settings.get("faults") or {}).values()):
+    settings, world, faults = read_settings(path), World().model_dump(), NO_FAULTS.model_dump()
+    usual = {"task": "drone", "reward": "eq14", "world": world, "faults": faults}
+    if any(settings.get(name, value) != value for name, value in usual.items()):
         return None
     for file in (folder / "baselines" / f"{name}.parquet" for folder in path.parents):
         if file.exists():
             rows = read_table(file, EVALUATED, "evaluate it again")
-            place = _place("drone", "eq14", World().model_dump(), NO_FAULTS.model_dump())
+            place = _place("drone", "eq14", world, faults)
             return Contender(name, rows, protocol, place, None, name)
     return None
 

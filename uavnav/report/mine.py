@@ -95,7 +95,11 @@ def gather(
         if len(one.runs) > 1:  # runs that differ in their seeds are one
             name = f"{name} and {len(one.runs) - 1} more"
         paths[name], status[name] = path, how
-        contenders.append(compare.trained(name, one, one.evaluation if len(one.evaluation) else None))
+        first, rows = one.runs[0].evaluation() if one.runs else None, None
+        if first is not None:
+            rows = one.evaluation.copy()
+            rows.attrs = first.attrs
+        contenders.append(compare.trained(name, one, rows))
     tell("ranking runs against the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders} | {YOU: YOU})
     groups: list[Group] = []
@@ -173,9 +177,9 @@ def _names(paths: Sequence[Path], folders: Sequence[Path]) -> list[str]:
     short = []
     for path in paths:
         folder = next(one for one in folders if path.is_relative_to(one))
-        short.append(str(path.relative_to(folder)) if path != folder else path.name)
-    taken = [*short, YOU, REACTIVE]
-    return [name if taken.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
+        name = str(path.relative_to(folder)) if path != folder else path.name
+        short.append(f"./{name}" if name in (YOU, REACTIVE) else name)
+    return [name if short.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
 
 
 def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:

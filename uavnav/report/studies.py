@@ -120,7 +120,7 @@ def _place(studies: Studies, configuration: Configuration, usual: Mapping[str, A
 
 def in_none(studies: Studies) -> list[str]:
     """One line for each run that is in no study, with how its settings differ from the main study's."""
-    lines, placed = [], [*studies.main.items(), *studies.vectorised.items(), *studies.baseline.items()]
+    lines, placed = [], [*studies.main.items(), *studies.vectorised.items()]
     for configuration in studies.others:
         usual = [one.settings for key, one in placed if key[0] == configuration.algorithm]
         changes = sorted(differing([configuration.settings, *usual[:1]]))

@@ -83,7 +83,7 @@ def gather(folders: Sequence[Path]) -> tuple[Worlds | None, list[str]]:
         except RunError as error:
             left_out.append(str(error))
         except KeyError as error:
-            left_out.append(f"{path}: its config.yaml has no {error}")
+            left_out.append(f"{path}: its config.yaml or a table of it has no {error}")
     if not seeds:
         return None, left_out
 

@@ -44,17 +44,13 @@ from uavnav.runs.lately import NOTHING, Lately
 from uavnav.runs.metrics import EVALUATED, TRAINED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.runs.trials import TRIALS, TUNING
+from uavnav.tasks.faults import Faults
 
 FINISHED = "finished"
 EVALUATION = "evaluation.parquet"
 BEHAVIOUR = "behaviour.parquet"
 ARENA = "arena.parquet"
 VALUES = "values.parquet"
-OTHERWISE = {
-    "faults",
-    "at",
-    "shield",
-}  # keys of an evaluation's header where policies flew not as in training
 POLICY = "policy.safetensors"
 KEPT = "policy-at-"
 """Begins the names of policies that were kept on the way."""
@@ -192,9 +188,15 @@ class Run:
         """The first of `evaluations` that flew as in training: its file's name, and its rows and modes."""
         for path in self.evaluations():
             rows = self._table(path.name, EVALUATED | {"mode": "object"})
-            if not rows.attrs.keys() & OTHERWISE:
+            if self._as_trained(rows.attrs):
                 return path.name, rows
         return None
+
+    def _as_trained(self, header: Mapping[Any, Any]) -> bool:
+        """Whether an evaluation flew the final policies, without the shield, with the faults of training."""
+        if header.keys() & {"at", "shield"}:
+            return False
+        return "faults" not in header or header["faults"] == str(Faults(**self.config.get("faults", {})))
 
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of `evaluated`; None where there are none."""

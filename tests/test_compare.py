@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
@@ -113,6 +114,12 @@ def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
     seen = said + html.partition("</style>")[2]
     assert "claim" not in seen
     assert "the paper" not in seen
+
+
+def test_what_episodes_do_not_count_is_a_dash():
+    tables = {"all": seeds_of([ABOVE])["above"], "few": seeds_of([ABOVE])["above"].assign(turns=np.nan)}
+    (row,) = [row for row in side_by_side(tables) if row[0] == "turning [%]"]
+    assert row[1:] == ["20.0 (20.0 to 20.0)", "–"]
 
 
 def test_episodes_under_another_limit_are_refused():

@@ -381,7 +381,7 @@ def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
     for column, label in (labels | own).items():
         shown = []
         for one in seeds.values():
-            if column not in one:
+            if column not in one or one[column].isna().all():
                 shown.append(NOTHING)
                 continue
             value, *ends, _ = stats.interval(one[column].to_numpy())

@@ -154,6 +154,9 @@ def test_scripted_policies_fly_in_the_world_of_the_first_run_and_kept_rows_are_o
     protocol = Protocol("test", 2, 9).header()
     flown = [compare.fly("straight", protocol, None, run).place for run in (drone, moving)]
     run, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
+    whole = Protocol().header()
+    elsewhere = ("sensitivity/listed/dqn/tanh", "sensitivity/initial/dqn/tanh", "noise/5/dqn/tanh")
+    assert [compare._kept("reactive", whole, f"results/{other}") for other in elsewhere] == [None] * 3
     assert [one["task"] for one in flown] == ["drone", "moving"]
     assert apart([run, kept]) == ""
     assert "sensor_arc" not in run.place

@@ -25,7 +25,7 @@ from uavnav.runs import Run
 from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.paper import TABLES
-from uavnav.runs.tables import read_table
+from uavnav.runs.tables import read_table, write_table
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import NO_FAULTS, Faults
@@ -335,8 +335,10 @@ def test_another_number_of_episodes_limit_or_split_goes_to_its_own_file_and_repl
 def test_rows_under_the_shield_with_faults_or_on_the_way_are_not_a_runs_evaluation(small, tmp_path):
     run = Run(shutil.copytree(small.path, tmp_path / "run"))
     for other in ({"shield": True}, {"faults": Faults(noise=5.0)}):
-        evaluate_run(run, 2, 5, **other)
-    assert len(run.evaluations()) == 2
+        rows = evaluate_run(run, 2, 5, **other)
+    rows.attrs = Protocol("test", 2, 5, at=0.5).header()
+    write_table(run.path / Protocol("test", 2, 5, at=0.5).file("evaluation"), rows)
+    assert len(run.evaluations()) == 3
     assert run.evaluation() is None
     evaluate_run(run, 2, 5, faults=NO_FAULTS)  # as in training
     assert run.evaluation().attrs == {"layouts": "test", "episodes": 2, "max_steps": 5, "faults": "none"}

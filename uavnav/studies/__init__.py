@@ -138,7 +138,7 @@ def _study(name: str, said: Any) -> Study:
     for entry in entries:
         if not isinstance(entry, dict) or "algorithm" not in entry:
             raise ConfigError(f"{entry}: is no configuration; it needs at least an `algorithm`")
-        algorithms(entry)
+        algorithms(entry)  # which raises
     settings, home = said.get("settings", {}), said.get("scripted_folder")
     for part in (settings, *entries):
         check_settings("settings", part)
@@ -180,8 +180,9 @@ def check_settings(name: str, said: Any) -> None:
     """Raise a ConfigError where settings, or an algorithm's own among them, are no table of names."""
     if not isinstance(said, dict) or not all(isinstance(key, str) for key in said):
         raise ConfigError(f"{name}={said}; give keys and values")
-    for algorithm in said.keys() & ALGORITHMS.keys():
-        check_settings(algorithm, said[algorithm])
+    for algorithm in ALGORITHMS:
+        if algorithm in said:
+            check_settings(algorithm, said[algorithm])
 
 
 def algorithms(configuration: Mapping[str, Any]) -> list[str]:

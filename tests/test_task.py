@@ -15,6 +15,7 @@ from uavnav import DroneEnv, World, load_policy
 from uavnav.algorithms import ppo
 from uavnav.envs import scalar
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.errors import ConfigError
 from uavnav.tasks import layouts
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.table import EMPTY, TASKS, make_task
@@ -185,6 +186,13 @@ def equal_the_batch(task, steps=60):
         assert np.array_equal(observation, outcome.observation[1].numpy())
         assert clearance == outcome.clearance[1].item()
         assert judged == [part[1].item() for part in (outcome.reward, outcome.terminated, outcome.truncated)]
+
+
+@pytest.mark.parametrize("name", ["observe", "step"])
+def test_a_subclass_that_defines_what_no_run_would_call_is_refused(name):
+    told = rf"Own\.{name}: runs would never call it; define sense, encode, move or judge instead"
+    with pytest.raises(ConfigError, match=told):
+        type("Own", (Narrow,), {name: lambda self, *given: None})
 
 
 def test_a_subclass_flies_alone_as_a_batch_of_one_for_60_steps(narrow):

@@ -41,9 +41,11 @@ class Task:
     """The paper's task: a drone among circles in a window, whose observation is eq. (13).
 
     Another task is another class: a subclass that says what is different, and an entry in `table.TASKS`.
+    `observe` and `step` put the others together; `WrappedTask` has its own, so a subclass leaves them alone.
 
     Raises:
-        ValueError: an unknown reward, or a time limit that is no whole number from 1.
+        ConfigError: an unknown reward, or a time limit that is no whole number from 1; a subclass that
+            defines `observe` or `step`.
     """
 
     WORLD: ClassVar[type[World]] = World
@@ -72,6 +74,10 @@ class Task:
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        for name in ("observe", "step"):
+            if name in cls.__dict__:
+                called = "sense, encode, move or judge"
+                raise ConfigError(f"{cls.__name__}.{name}: runs would never call it; define {called} instead")
         if "STATIC" not in cls.__dict__ and any(map(inspect.isroutine, cls.__dict__.values())):
             cls.STATIC = False
 

@@ -165,8 +165,8 @@ def test_dqns_sigmoid_leads_surges_and_falls_in_training_and_not_afterwards(per_
 
 
 def test_one_run_a_configuration_would_name_tanh_and_give_the_papers_order_so_often(per_frame, logged):
-    line = lines("- Per training frame, PPO's sigmoid")
-    samples = per_frame["ppo", "sigmoid"], per_frame["ppo", "tanh"]
+    line = lines("- The order of PPO's tanh and sigmoid")
+    samples = per_frame["ppo", "tanh"], per_frame["ppo", "sigmoid"]
     assert max(FOUR, key=lambda one: per_frame["ppo", one].mean()) == "sigmoid"
     lead = samples[0].mean() - samples[1].mean()
     spans(line, 1000 * lead, 1000 * welch(samples, (1, -1)), 1, widened=1.6)
@@ -174,9 +174,9 @@ def test_one_run_a_configuration_would_name_tanh_and_give_the_papers_order_so_of
     tanh, sigmoid, relu, leaky = (logged["ppo", one][own] for one, own in zip(FOUR, draws, strict=True))
     best = np.mean((tanh > sigmoid) & (tanh > relu) & (tanh > leaky))
     order = np.mean((tanh > relu) & (relu > leaky) & (leaky > sigmoid))
-    assert (best, order) == (pytest.approx(0.30, abs=0.005), pytest.approx(0.02, abs=0.003))
+    assert (best, order) == (pytest.approx(0.295, abs=0.005), pytest.approx(0.005, abs=0.001))
     says(line, 30)
-    says(line, 2)
+    says(line, 0.5, 1)
 
 
 def test_ppos_lead_by_settings():
@@ -199,7 +199,7 @@ def test_ppos_lead_by_settings():
         leads.append(lead)
         for value in (lead, lead - half, lead + half):
             says(line, value)
-    assert leads == pytest.approx([226, 155, -17, 137], abs=0.5)
+    assert leads == pytest.approx([226, 155, -17, 159], abs=0.5)
 
 
 def test_the_scripted_policy_is_ahead_of_the_best_mean_and_single_seeds_pass_it(flown):
@@ -207,7 +207,7 @@ def test_the_scripted_policy_is_ahead_of_the_best_mean_and_single_seeds_pass_it(
     rule = pd.read_parquet(RESULTS / "baselines" / "reactive.parquet")["reward"].mean()
     best = max((own for (_, _, mode), own in flown.items() if mode == "sampled"), key=np.mean)
     spans(line, rule - best.mean(), welch([best], (1,)))
-    for mode, count in (("sampled", 4), ("greedy", 8)):
+    for mode, count in (("sampled", 3), ("greedy", 6)):
         assert sum(int((flown["ppo", one, mode] > rule).sum()) for one in FOUR) == count
         says(line, count)
     learned = of_folder("learned", "drone", "ppo", "tanh")

@@ -203,7 +203,7 @@ def test_ppos_lead_by_settings():
 
 
 def test_the_scripted_policy_is_ahead_of_the_best_mean_and_single_seeds_pass_it(flown):
-    line = lines("- Without sensor noise, a scripted policy")
+    line = lines("- Without sensor noise")
     rule = pd.read_parquet(RESULTS / "baselines" / "reactive.parquet")["reward"].mean()
     best = max((own for (_, _, mode), own in flown.items() if mode == "sampled"), key=np.mean)
     spans(line, rule - best.mean(), welch([best], (1,)))

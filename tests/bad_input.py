@@ -784,6 +784,9 @@ CASES = [
     run("config.yaml", "a key that is a number", added("3: 3\n"), "not a run's, its 3=3", RUN, VERIFIES),
     run("config.yaml", "a wrong value", replaced("gamma: 0.99", "gamma: 9"), "not a run's, its gamma=9", RUN,
         VERIFIES),
+    *(run("config.yaml", f"without its {line.partition(':')[0]}", replaced(f"{line}\n", ""),
+        f"not a run's, its {line.partition(':')[0]}=None", RUN, VERIFIES)
+        for line in ("task: drone", "reward: eq14", "layouts: train", "gamma: 0.99", "total_frames: 64")),
     Case("run/config.yaml: a layout file that is gone", "run/config.yaml",
         replaced("layouts: train", "layouts: tset"), verify, LayoutError,
         "layouts='tset': no such layout file", FILE, VERIFY),
@@ -798,6 +801,8 @@ CASES = [
     run("meta.json", "versions a list", meta(versions=[1]), "not a run's, its versions=[1]", RUN),
     run("meta.json", "plugins a number", meta(plugins=3), "not a run's, its plugins=3", RUN),
     run("meta.json", "threads beyond any machine", meta(threads=10**18), "not a run's, its threads=1000000",
+        RUN),
+    run("meta.json", "a wall time of ages", meta(wall_seconds=1e14), "not a run's, its wall_seconds=10000",
         RUN),
     run("meta.json", "compiled in words", meta(compiled="yes"), "not a run's, its compiled=yes", RUN),
     run("meta.json", "a number of 1,000 digits", meta(frames=10**999), DAMAGED, RUN),

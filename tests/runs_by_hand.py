@@ -27,7 +27,7 @@ CONFIG = {
     "init": "default",
     "lr": 1e-4,
 }
-CONFIG |= {"task": "drone", "stack": 1, "faults": NO_FAULTS.model_dump()}
+CONFIG |= {"task": "drone", "layouts": "train", "gamma": 0.99, "stack": 1, "faults": NO_FAULTS.model_dump()}
 LAYOUTS = {"n": "10000", "k": "8", "split": "train", "generator_seed": "0", "sha256": "abc"}
 
 
@@ -52,7 +52,6 @@ def write_run(
 ):
     path.mkdir(parents=True)
     config = {"algorithm": algorithm, "activation": activation, "seed": seed, "n_seeds": len(tables)}
-    config |= {"gamma": 0.99} if algorithm == "dqn" else {}
     config |= CONFIG | {"world": {}} | changes
     if config["task"] == "drone" and isinstance(config["world"], dict):
         config["world"] = World().model_dump() | config["world"]
@@ -150,8 +149,8 @@ def write_policies(
     path.mkdir(parents=True)
     settings = {"seed": seed, "n_seeds": n_seeds, "hidden": (8,)} | changes
     (path / POLICY).write_bytes(policy_bytes(network, algorithm, epsilon=0.2, **settings))
-    facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_envs": 16}
-    (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
+    facts = CONFIG | {"world": {}, "algorithm": algorithm, "activation": "tanh"}
+    (path / "config.yaml").write_text(yaml.safe_dump(facts | {"seed": seed, "n_seeds": n_seeds} | changes))
     (path / "meta.json").write_text(
         json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}, "study": "by hand"})
     )

@@ -12,8 +12,9 @@ from bad_input import put
 from runs_by_hand import rows, two, write_policies, write_run
 
 from uavnav.colours import OTHERS, PILOTS
-from uavnav.report import charts, compare, mine, places, report
+from uavnav.report import charts, compare, frames, mine, places, report
 from uavnav.report.configurations import collect
+from uavnav.report.content import gather
 from uavnav.runs.tables import write_table
 from uavnav.training.checkpoints import Checkpoints
 
@@ -164,3 +165,34 @@ def test_without_folders_a_report_reads_runs_or_else_results_and_never_writes_in
     assert places([], None) == ([Path("runs")], Path("runs"))
     assert places([], "there") == ([Path("runs")], Path("there"))
     assert places(["results"], None) == ([Path("results")], Path("results"))
+
+
+def test_a_run_in_a_folder_with_a_studys_name_is_ones_own_unless_it_names_a_study(tmp_path):
+    """The folders of further studies are read apart."""
+    mine_too = write_run(tmp_path / "noise" / "mine", two(0, 5.0), algorithm="ppo", meta=OWN)
+    write_run(tmp_path / "noise" / "0", two(0, 5.0), meta={"study": "noise"})
+    (found,), left_out = collect([tmp_path])
+    assert ([run.path for run in found.runs], left_out) == ([mine_too], [])
+
+
+def test_the_best_run_is_named_with_its_task_where_there_are_several(tmp_path):
+    write_run(tmp_path / "a", two(0, 5.0), evaluation=flown(9.0, 7.0), task="moving", meta=OWN)
+    write_run(tmp_path / "b", two(0, 5.0), algorithm="ppo", evaluation=flown(400.0, 380.0), meta=OWN)
+    report([tmp_path])
+    text = (tmp_path / "report.md").read_text()
+    assert "Of your runs (Moving obstacles), **a** earns most: 8.0 [" in text
+
+
+def test_scripted_policies_of_another_task_are_not_shown_beside_the_papers(tmp_path):
+    write_run(tmp_path / "main", two(0, 5.0), algorithm="ppo", evaluation=flown(9.0, 7.0))
+    (tmp_path / "baselines").mkdir()
+    for name, header in (("reactive", {}), ("reactive-goal-test-200-1000", {"task": "goal"})):
+        table = flown(10.0, 10.0).query("mode == 'sampled'").drop(columns="mode").reset_index(drop=True)
+        table.attrs = header
+        write_table(tmp_path / "baselines" / f"{name}.parquet", table)
+    assert [*gather([tmp_path]).baselines] == ["reactive"]
+
+
+def test_nobody_is_said_to_pass_a_scripted_policy_that_did_not_fly():
+    gaps = pd.DataFrame({"algorithm": ["", "ppo"], "mode": "sampled", "above": [np.nan, np.nan], "n": [1, 3]})
+    assert frames.passing(gaps).empty

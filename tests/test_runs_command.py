@@ -21,6 +21,12 @@ CONFIG = {
     "seed": 3,
     "n_seeds": 2,
     "total_frames": 400_000,
+    "n_envs": 128,
+    "task": "drone",
+    "reward": "eq14",
+    "layouts": "train",
+    "gamma": 0.99,
+    "world": {},
 }
 NOW = 1_800_000_000.0
 STARTED = "2027-01-15T07:00:00+00:00"  # an hour before

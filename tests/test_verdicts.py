@@ -306,9 +306,10 @@ def test_a_grade_counts_the_parts_that_replicate(parts, expected):
     assert str(grade([*found, small])) == expected
 
 
-def test_a_claim_of_which_a_part_waits_for_its_runs_replicates_in_part_at_most():
+@pytest.mark.parametrize("standing", ["no runs", "too few seeds"])
+def test_a_claim_of_which_a_part_waits_for_its_runs_replicates_in_part_at_most(standing):
     finding = one(ONE, EIGHT)
-    waits = finding._replace(standing="no runs", verdict="open")
+    waits = finding._replace(standing=standing, verdict="open")
     assert str(grade([finding._replace(verdict="replicates"), waits])) == "in part (1 of 2)"
     assert str(grade([finding._replace(verdict="absent"), waits])) == "does not"
 

@@ -72,7 +72,7 @@ def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
 def _trained_in(found: Iterable[Run | Flyer]) -> Iterator[str]:
     """The tasks of runs and of other learned policies, if they are known here."""
     for one in found:
-        if isinstance(one, Run) and (name := str(one.config.get("task", "drone"))) in TASKS:
+        if isinstance(one, Run) and (name := one.config["task"]) in TASKS:
             yield name
         elif isinstance(one, Flyer) and one.task is not None:
             yield name_of(one.task)
@@ -81,7 +81,7 @@ def _trained_in(found: Iterable[Run | Flyer]) -> Iterator[str]:
 def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
     """How what is named is evaluated; what was trained flies in its own task."""
     if isinstance(found, Run):
-        limit, name = TASKS.get(found.config.get("task", "drone"), Task).limit(MAX_STEPS), "drone"
+        limit, name = TASKS.get(found.config["task"], Task).limit(MAX_STEPS), "drone"
     else:
         task = found.task or task_of(arguments.task)
         limit, name = task.limit(MAX_STEPS), name_of(task)

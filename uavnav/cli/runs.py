@@ -45,22 +45,18 @@ def row(path: Path, now: float) -> dict[str, Any]:
     Frames are per seed: so far, or saved by a run that was stopped. Raises a RunError.
     """
     config = read_settings(path / "config.yaml")
-    if "total_frames" not in config:
-        raise RunError(f"{path / 'config.yaml'}: not a run's, its total_frames=None; give a run's folder")
     meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
     told = progress(path)
     running = told if meta.get("status") == "running" and heard(told, now) else {}
     frames, status = running.get("frames", meta.get("frames")), meta.get("status")
     return {
         "run": str(path),
-        **{key: config[key] for key in ("algorithm", "activation")},
-        "task": str(config.get("task", "drone")),
-        "preset": str(config.get("preset", "")),
+        **{key: config[key] for key in ("algorithm", "activation", "task", "preset")},
         "seeds": [config["seed"], config["seed"] + config["n_seeds"] - 1],
         "frames": saved_frames(path) or told.get("frames", 0) if frames is None else frames,
         "total": config["total_frames"],
         "status": "running" if running else status if status in ENDS else "stopped",
-        **_rewards(path, str(config.get("task", "drone"))),
+        **_rewards(path, config["task"]),
         "age": _age(str(meta.get("ended") or meta.get("started")), now),
         **_pace(running),
     }

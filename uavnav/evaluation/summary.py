@@ -46,7 +46,7 @@ def of_run(run: Run) -> Table:
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     environments = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
     changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
-    ends = "collision or goal" if config.get("task") == "goal" else "collision"
+    ends = "collision or goal" if config["task"] == "goal" else "collision"
     preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
     return _metric_table(
         f"{run.algorithm} {config['activation']}, {preset}, {environments}",
@@ -117,12 +117,11 @@ def of_paper(run: Run, header: Mapping[Any, Any] | None = None) -> dict[str, flo
     What the paper leaves open may be read otherwise: `DEFINITIONS`. header: of a file of rows.
     """
     config, episodes = run.config, header or {}
-    given = config.get("world") or {}
-    world = {name: value for name, value in given.items() if name not in DEFINITIONS["world"]}
-    other = config.get("task", "drone") != "drone" or config.get("stack", 1) != 1
-    other |= config.get("reward", "eq14") not in DEFINITIONS["reward"]
+    world = {name: value for name, value in config["world"].items() if name not in DEFINITIONS["world"]}
+    other = config["task"] != "drone" or config.get("stack", 1) != 1
+    other |= config["reward"] not in DEFINITIONS["reward"]
     other |= World().model_dump() | world != World().model_dump()
-    other |= any((config.get("faults") or {}).values()) or "faults" in episodes
+    other |= any(config.get("faults", {}).values()) or "faults" in episodes
     other |= not {config["layouts"], episodes.get("layouts", "test")} <= set(SPLITS)
     return {} if other else paper.TABLES.get((run.algorithm, run.config["activation"]), {})
 

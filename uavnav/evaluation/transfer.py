@@ -57,13 +57,13 @@ def trained_in(run: Run) -> tuple[WrappedTask, str]:
     """
     own = run.config
     try:
-        where = own.get("world"), own.get("reward"), None, own.get("task", "drone")
+        where = own["world"], own["reward"], None, own["task"]
         task = make_task(EMPTY, *where, faults=own.get("faults"))
     except (TypeError, ValueError) as error:
         raise RunError(
             f"{run.path / 'config.yaml'}: names no task ({error}); give a run of this package"
         ) from error
-    return task, splits.judged_on(own.get("layouts", "train"))
+    return task, splits.judged_on(own["layouts"])
 
 
 def named(task: WrappedTask, layouts: str) -> str:

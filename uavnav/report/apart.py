@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav.report.configurations import apart
+from uavnav.report.configurations import apart, of_a_study
 from uavnav.report.frames import REACTIVE, baselines, gap_to, name
 from uavnav.runs import Run, run_folders
 from uavnav.runs.evaluations import Protocol
@@ -52,7 +52,7 @@ def evaluations(folders: Sequence[Path], study: str) -> tuple[list[Evaluated], l
         reactive = {_key(_how(rows)): rows for who, rows in scripted if who == REACTIVE}
         found += [_evaluation(who, None, rows, reactive) for who, rows in scripted if who in SCRIPTED]
         left_out += unread
-        for path in run_folders(home)[0]:
+        for path in filter(of_a_study, run_folders(home)[0]):
             try:
                 run = Run(path, rows=False)
                 who = name(run.algorithm, run.config["activation"])

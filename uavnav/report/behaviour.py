@@ -62,10 +62,10 @@ def read(run: Run, in_arena: bool = False, modes: Sequence[str] = MODES) -> pd.D
     path = run.path / ARENA if in_arena else run.behaviour_file()
     if not path.exists():
         return None
-    if (kind := run.config.get("task", "drone")) != "drone":  # whose `World` has other fields
+    if (kind := run.config["task"]) != "drone":  # whose `World` has other fields
         raise RunError(f"{path}: episodes of task={kind}; {ONLY}")
     try:
-        task = make_task("test", run.config.get("world"))
+        task = make_task("test", run.config["world"])
     except (TypeError, ValueError) as error:
         raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
     task = task.replace(layouts=EMPTY_ARENA) if in_arena else task

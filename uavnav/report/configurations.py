@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import Run, paper, run_folders, trials
+from uavnav.runs import Run, paper, read_settings, run_folders, trials
 from uavnav.runs.definitions import (
     EVALUATIONS,
     LAST_EPISODES,
@@ -94,7 +94,11 @@ def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     walked = [run_folders(folder) for folder in folders]
     elsewhere = [folder.resolve() for study in APART for folder in apart(folders, study)]
     there = {path.resolve(): path for found, _ in walked for path in found}
-    main = {key: path for key, path in there.items() if not any(key.is_relative_to(one) for one in elsewhere)}
+    main = {
+        key: path
+        for key, path in there.items()
+        if not any(key.is_relative_to(one) for one in elsewhere) or not of_a_study(path)
+    }
     paths = _beside_tuning(folders, main)
     configurations: dict[str, Configuration] = {}
     left_out = []
@@ -119,6 +123,14 @@ def apart(folders: Sequence[Path], study: str) -> list[Path]:
     return [folder for folder in found if folder.is_dir() and not (folder / "config.yaml").exists()]
 
 
+def of_a_study(path: Path) -> bool:
+    """Whether a run in a study's folder is of that study: not if it names none. A damaged one may be."""
+    try:
+        return bool(read_settings(path / "meta.json").get("study"))
+    except RunError:
+        return True
+
+
 def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
     """Without the runs of a study that tunes; if it is all there is, its defaults."""
     tuned = [folder.resolve() for folder in trials.folders(folders)]
@@ -133,9 +145,6 @@ def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mappi
 def read(path: Path) -> Configuration:
     """The configuration of one run; raises a RunError where it lacks what a report needs."""
     run = Run(path)
-    if "n_envs" not in run.config:
-        lacks = "does not say in how many environments"
-        raise RunError(f"{path / 'config.yaml'}: {lacks}; not a run of this package")
     for key in ("layouts", "versions", "beyond_preset"):
         run.meta.setdefault(key, {})
     file, evaluation = run.evaluated() or ("", None)
@@ -162,7 +171,7 @@ def _protocol(run: Run, file: str, rows: pd.DataFrame) -> str:
 
 def settings_of(config: Mapping[str, Any], meta: Mapping[str, Any], frames: int) -> dict[str, Any]:
     """All that a run's episodes depend on, except algorithm, activation and seeds; layouts are a checksum."""
-    own = {"layouts": "train"} | flat(config)
+    own = flat(config)
     all_layouts, layouts = meta.get("layouts", {}), str(own.pop("layouts"))
     facts = {
         "frames": frames,

@@ -148,7 +148,8 @@ def gather(
         elsewhere = beside.enter_context(machine.forked(lambda: _apart(folders)))
         tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(dealt)
-        baselines, unread = frames.baselines(folders)
+        kept, unread = frames.baselines(folders)
+        baselines = {who: rows for who, rows in kept.items() if frames.as_usual(rows)}
         tuned, winners, untuned = tuning.read(folders, baselines)
         evidence = {one: studies.evidence_of(dealt, one, episodes, by_layout, winners) for one in DEFINITIONS}
         tell("working out tables")

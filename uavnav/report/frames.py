@@ -24,6 +24,7 @@ from uavnav.report.studies import Configurations, Studies, hours, paper_configur
 from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, LOG_CURVE, PER_FRAME, SAMPLED
+from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, finished, has_ended
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import MAX_STEPS
@@ -506,8 +507,8 @@ def gap_to(episodes: pd.DataFrame, scripted: pd.DataFrame) -> stats.Array:
 
 @columns("algorithm", "mode", "passing", "n")
 def passing(gaps: pd.DataFrame) -> Rows:
-    """How many seeds of an algorithm pass the scripted policy."""
-    learned = gaps[gaps["algorithm"] != ""]
+    """How many seeds of an algorithm pass the scripted policy; no rows without episodes of it."""
+    learned = gaps[(gaps["algorithm"] != "") & gaps["above"].notna()]
     for key, part in learned.groupby(["algorithm", "mode"], sort=False):
         yield [*key, int((part["above"] * part["n"]).round().sum()), part["n"].sum()]
 
@@ -521,6 +522,12 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
         except RunError as error:
             left_out.append(str(error))
     return found, left_out
+
+
+def as_usual(episodes: pd.DataFrame) -> bool:
+    """Whether scripted policies or people flew the paper's task on test layouts, by the file's header."""
+    usual = Protocol()._asdict()
+    return all(episodes.attrs.get(key, usual[key]) == usual[key] for key in usual if key != "episodes")
 
 
 # -- how large and how fast ----------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ def gather(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]
 
 def place(one: Evaluated) -> str:
     """The task of an evaluation, its noise, and the time limit where it is more than `USUAL` steps."""
-    noise = one.run.config["faults"]["noise"] if one.run else from_words(one.how["faults"]).noise
+    noise = (one.run.faults if one.run else from_words(one.how["faults"])).noise
     limit = one.how["max_steps"]
     own = [str(one.how["task"]), f"{noise:g} px of noise" * bool(noise), f"{limit:,} steps" * (limit > USUAL)]
     return ", ".join(filter(None, own))

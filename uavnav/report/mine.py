@@ -115,7 +115,7 @@ def gather(
     recorded, left_out = _typical(contenders, looks)
     return Mine(
         groups,
-        _best(groups[0], paths),
+        _best(groups, paths),
         differences(contenders),
         _missing(found, folders[0]),
         recorded,
@@ -132,10 +132,9 @@ def unfinished(folders: Sequence[Path]) -> dict[Path, Begun]:
             if meta.get("status") == FINISHED or meta.get("study"):
                 continue
             config = read_settings(path / "config.yaml")
-        except RunError:
+        except RunError:  # no run's, as `collect` says
             continue
-        if {"algorithm", "activation", "total_frames"} <= config.keys():  # else no run's, as `collect` says
-            found[path] = _begun(path, config, meta)
+        found[path] = _begun(path, config, meta)
     return found
 
 
@@ -309,15 +308,17 @@ def _ranking(
     return rows + [[one.name, "not evaluated", *[tables.NOTHING] * 3, status[one.name]] for one in late]
 
 
-def _best(first: Group, paths: Mapping[str, Path]) -> str:
-    """The best run of a group, and the scripted policy."""
+def _best(groups: Sequence[Group], paths: Mapping[str, Path]) -> str:
+    """The best run of the first group, and the scripted policy; where there are others, which group it is."""
+    first = groups[0]
     best = next(one for one in first.contenders if one.pilot != YOU)
     if best.configuration is not None and not best.configuration.runs:
         return "No run has finished yet."
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
     mean, over = best.reward
-    said = f"Of your runs, **{best.name}** earns most: {compare.rounded(mean)} of reward an episode"
+    which = f" ({first.title})" if len(groups) > 1 else ""
+    said = f"Of your runs{which}, **{best.name}** earns most: {compare.rounded(mean)} of reward an episode"
     said += f" (95 % interval over {over})."
     if first.scripted is not None:
         said += f" The scripted policy earns {compare.rounded(first.scripted.reward[0])}."
@@ -348,7 +349,7 @@ def _missing(found: Sequence[Configuration], folder: Path) -> str:
     ready = {
         (one.algorithm, one.activation)
         for one in found
-        if one.n_seeds >= SEEDS and one.settings.get("task", "drone") == "drone"
+        if one.n_seeds >= SEEDS and one.settings["task"] == "drone"
     } & paper.TABLES.keys()
     if len(ready) > 1 or any(one.study for one in found):
         return ""

@@ -21,7 +21,7 @@ def table(found: Sequence[Evaluated]) -> pd.DataFrame:
     seeds are `above` it; `gain`, the reward minus that of the policies trained without noise, under the same
     noise.
     """
-    trained = [float(one.run.config["faults"]["noise"]) if one.run else np.nan for one in found]
+    trained = [one.run.faults.noise if one.run else np.nan for one in found]
     keys = [(one.who, one.how["faults"]) for one in found]
     without = {key: one.reward for key, one, noise in zip(keys, found, trained, strict=True) if noise == 0}
     rows = []

@@ -30,6 +30,7 @@ HALF = 0.5
 REPLICATES, REVERSES, ABSENT = "replicates", "reverses", "absent"
 SMALLER, OPEN, DEGENERATE = "smaller", "open", "degenerate"
 COUNTS, NO_RUNS, TOO_FEW = "counts", "no runs", "too few seeds"
+WAITING = NO_RUNS, TOO_FEW  # for runs, and so does a claim of which all other parts replicate
 AGAINST_ITSELF, BESIDE = "the paper contradicts itself", "no part of the grade"
 TOO_SMALL = "the paper's effect is too small"  # for as many seeds as there are
 """Whether a part counts for its claim's grade, and why not (`DEGENERATE` is a reason too)."""
@@ -147,11 +148,11 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
 def _grades(verdicts: Names, standings: Names) -> Names:
     """The grades [...] of claims from their parts' verdicts and standings, each [..., P].
 
-    Of the parts that count: all replicate -> replicates (in part while others wait for their runs); some ->
-    in part; none, and one reverses or is absent -> does not; none, and one is smaller -> smaller; none, and
-    nothing is shown -> open. A claim all of whose parts are only shown is context.
+    Of the parts that count: all replicate -> replicates (in part while others wait for runs or seeds);
+    some -> in part; none, and one reverses or is absent -> does not; none, and one is smaller -> smaller;
+    none, and nothing is shown -> open. A claim all of whose parts are only shown is context.
     """
-    counting, waits = standings == COUNTS, (standings == NO_RUNS).any(-1)
+    counting, waits = standings == COUNTS, np.isin(standings, WAITING).any(-1)
     do, against, less = (
         (np.isin(verdicts, kinds) & counting).sum(-1)
         for kinds in ((REPLICATES,), (REVERSES, ABSENT), (SMALLER,))
@@ -183,7 +184,7 @@ def grade(findings: Sequence[Finding]) -> Grade:
         np.array([getattr(one, field) for one in findings]) for field in ("verdict", "standing")
     )
     replicating = int(((standings == COUNTS) & (verdicts == REPLICATES)).sum())
-    counting = int(np.isin(standings, (COUNTS, NO_RUNS)).sum())
+    counting = int(np.isin(standings, (COUNTS, *WAITING)).sum())
     return Grade(str(_grades(verdicts, standings)), replicating, counting)
 
 

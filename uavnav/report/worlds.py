@@ -16,7 +16,7 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.report.claims import ALL_TASKS, CRASHED, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
-from uavnav.report.configurations import MODE, apart, order, settings_of
+from uavnav.report.configurations import MODE, apart, of_a_study, order, settings_of
 from uavnav.report.frames import Rows, columns
 from uavnav.runs import Run, run_folders
 from uavnav.runs.evaluations import Protocol
@@ -62,7 +62,7 @@ def gather(folders: Sequence[Path]) -> tuple[Worlds | None, list[str]]:
     places: dict[str, Protocol | None] = {}
     settings: dict[Key, dict[str, object]] = {}
     left_out, made = [], []
-    for path in (path for folder in homes for path in run_folders(folder)[0]):
+    for path in filter(of_a_study, (path for folder in homes for path in run_folders(folder)[0])):
         try:
             run = Run(path, rows=False)
             place, protocol, table = read(run)

@@ -72,20 +72,20 @@ Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 
 class Config(Facts):
-    """What every config.yaml contains, and what some do."""
+    """What every config.yaml contains, as far as somebody reads it; older ones have no faults."""
 
     algorithm: Name
     activation: Name
     seed: Annotated[int, Field(ge=0, lt=2**31)]
     n_seeds: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
-    total_frames: Annotated[Count, Field(ge=1)] = 1
-    n_envs: Annotated[Count, Field(ge=1)] = 1
-    preset: Name = "paper"
-    task: Name = "drone"
-    reward: Name = "eq14"
-    layouts: str = "train"
-    gamma: Annotated[float, Field(ge=0, le=1)] = 1.0
-    world: dict[str, Any] = Field(default_factory=dict)
+    total_frames: Annotated[Count, Field(ge=1)]
+    n_envs: Annotated[Count, Field(ge=1)]
+    preset: Name
+    task: Name
+    reward: Name
+    layouts: str
+    gamma: Annotated[float, Field(ge=0, le=1)]
+    world: dict[str, Any]
     faults: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -96,7 +96,7 @@ class Meta(Facts):
     frames: Annotated[Count, Field(ge=1)] | None = None
     started: str = ""
     ended: str = ""
-    wall_seconds: Annotated[float, Field(ge=0)] = 0.0
+    wall_seconds: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     compiled: bool = False
     threads: Annotated[int, Field(ge=1, le=2**12)] = 1
     processes: Annotated[int, Field(ge=1, le=MOST_SEEDS)] = 1
@@ -177,9 +177,14 @@ class Run:
         """The training seeds."""
         return list(range(self.config["seed"], self.config["seed"] + self.config["n_seeds"]))
 
+    @property
+    def faults(self) -> Faults:
+        """Those of training."""
+        return Faults(**self.config.get("faults", {}))
+
     def evaluations(self) -> list[Path]:
         """The files of its evaluations, the run's own before those of other protocols."""
-        own = usual(self.config.get("task", "drone")).file("evaluation")
+        own = usual(self.config["task"]).file("evaluation")
         others = sorted(path.name for path in self.path.glob(f"{Path(EVALUATION).stem}-*.parquet"))
         paths = (self.path / name for name in dict.fromkeys([own, EVALUATION, *others]))
         return [path for path in paths if os.path.lexists(path)]
@@ -196,7 +201,7 @@ class Run:
         """Whether an evaluation flew the final policies, without the shield, with the faults of training."""
         if header.keys() & {"at", "shield"}:
             return False
-        return "faults" not in header or header["faults"] == str(Faults(**self.config.get("faults", {})))
+        return "faults" not in header or header["faults"] == str(self.faults)
 
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of `evaluated`; None where there are none."""

@@ -107,7 +107,7 @@ def record(
     for configuration in configurations:
         population, problems = _load(configuration, n_seeds)
         left_out += problems
-        split = layouts.judged_on(configuration.runs[0].config.get("layouts", "train"))
+        split = layouts.judged_on(configuration.runs[0].config["layouts"])
         ready += [(configuration, split, population)] if population else []
     usual = range(n_layouts)
     flyers = [

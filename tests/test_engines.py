@@ -146,10 +146,13 @@ def assert_same_bits(out, alone, configurations=("ppo/tanh",)):
         assert not (out / configuration / "workers").exists()
 
 
-def test_a_run_notes_its_two_workers_and_its_study(alone):
-    run = Run(alone / "ppo/tanh")
-    assert run.meta["processes"] == 2
-    assert run.meta["study"] == "mine"
+def test_a_run_notes_its_workers_each_of_one_thread_and_its_study(alone):
+    """Four seeds in one process would have two threads elsewhere."""
+    metas = [Run(alone / folder).meta for folder in ("ppo/tanh", "dqn/tanh")]
+    assert [(meta["processes"], meta["threads"], meta["study"]) for meta in metas] == [
+        (2, 1, "mine"),
+        (1, 1, "mine"),
+    ]
 
 
 def test_what_workers_have_evaluated_is_the_evaluation_of_all_seeds(alone, tmp_path):

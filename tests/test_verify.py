@@ -299,3 +299,19 @@ def test_rows_of_progress_before_the_first_that_a_folder_keeps_are_left_out_and_
     assert lines[1] == "  progress: not compared before frame 1,024, as the folder leaves those rows out"
     edit(run / "progress.parquet", setting(-1, "grad_norm", lambda old: old + 1e-6))
     assert verdict(run)[0] == 1
+
+
+def test_a_run_is_repeated_in_as_many_processes_and_threads_as_it_had(tmp_path, monkeypatch):
+    """Sums of two threads round otherwise. Four seeds in one process would have two threads by default."""
+    config = ppo.PPOConfig(
+        n_seeds=4, n_envs=4, total_frames=64, frames_per_batch=64, minibatch_size=64, epochs=1, compile="off"
+    )
+    monkeypatch.setattr("uavnav.training.machine.cores", lambda: 2)
+    by_default, run = (
+        ppo.train(config, out=tmp_path / str(threads), quiet=True, threads=threads) for threads in (None, 1)
+    )
+    assert (by_default.meta["threads"], run.meta["threads"]) == (2, 1)
+    told, train = [], verify.train
+    monkeypatch.setattr(verify, "train", lambda *args, **how: told.append(how) or train(*args, **how))
+    assert verify.verify(run, quiet=True).same
+    assert told == [{"out": told[0]["out"], "quiet": True, "processes": 1, "threads": 1}]

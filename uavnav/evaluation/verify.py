@@ -46,16 +46,16 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     files = [POLICY, *(path.name for path in sorted(run.path.glob(f"{KEPT}*")))]
     original, kept = _weights(run.path, files) if (run.path / POLICY).exists() else (None, run.seeds)
     whole = frames is None or frames >= run.frames
-    processes = int(run.meta.get("processes", 1))
+    how: dict[str, Any] = {name: int(run.meta.get(name, 1)) for name in ("processes", "threads")}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "again"
         if whole:
-            again = train(config, out=folder, quiet=quiet, processes=processes)
+            again = train(config, out=folder, quiet=quiet, **how)
             reached, meta, (weights, _) = again.frames, again.meta, _weights(folder, files)
             tables = {"episodes": again.episodes, "progress": again.progress}
         else:
             try:
-                train(config, out=folder, quiet=quiet, until=frames, processes=processes)
+                train(config, out=folder, quiet=quiet, until=frames, **how)
             except Interrupted as stop:
                 if not stop.wanted:
                     raise

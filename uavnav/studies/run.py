@@ -46,6 +46,7 @@ EPISODE_SECONDS = 48 * 3600.0  # given to an evaluation, whose heartbeat says no
 ANSWER_SECONDS = 120.0  # given to an engine to answer a question
 CHECK_SECONDS = 24 * 3600.0  # given to an engine to check its machines, which may wait in a queue
 SAY_SECONDS = 60.0  # between two lines that say what a study waits for
+THREADS = 1  # of a job: engines give each of them a core
 
 EPISODES = "flying"  # begins the names of the files of an evaluation's job, in its configuration's folder
 
@@ -330,7 +331,7 @@ class Runner:
         n = own.processes(
             -(-config.n_seeds // self.per_worker) if self.per_worker else machine.processes(config)
         )
-        with machine.use_threads(machine.threads(config, n)), own:
+        with machine.use_threads(THREADS), own:
             own.meta |= {"study": configuration.study}
             own.note(processes=n)
         work.workers = workers.split(config, configuration.out, n)
@@ -370,11 +371,10 @@ class Runner:
             ]
             words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
         else:
-            threads = machine.threads(configuration.config, len(job.work.workers))
             how: dict[str, Any] = {"checkpoint_seconds": self.checkpoint_seconds}
             measures = {"measures": configuration.measures}
             headers = [one.header() | measures for one in configuration.evaluations[:1]]
-            words = ["uavnav.cli.worker", *job.worker.prepare(threads, *headers, **how)]
+            words = ["uavnav.cli.worker", *job.worker.prepare(THREADS, *headers, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:
@@ -481,7 +481,7 @@ class Runner:
         configuration, n = work.configuration, len(work.workers)
         try:
             with (
-                machine.use_threads(machine.threads(configuration.config, n)),
+                machine.use_threads(THREADS),
                 Recorder(configuration.out, configuration.config) as own,
             ):
                 compiled = all(Run(worker.folder).meta["compiled"] for worker in work.workers)

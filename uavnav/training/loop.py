@@ -153,6 +153,7 @@ def train(
     until: int | None = None,
     tell: Tell | None = None,
     processes: int | None = None,
+    threads: int | None = None,
     logger: str | Sequence[str] = loggers.NONE,
     fit: Fit = alone,
 ) -> Run:
@@ -169,6 +170,7 @@ def train(
         tell: called now and then with the frames per seed so far and each seed's reward per 1,000 frames,
             lately and with open episodes (see `uavnav.runs.lately`).
         processes: how many workers train the seeds; by default one for each core, where that pays.
+        threads: of each of them; by default one, or two where four seeds or more are in one process.
         logger: `tensorboard`, `wandb`, a list of both, or `none`: logs besides the tables, see
             `uavnav.loggers`.
         fit: trains all seeds in this process, instead of `alone`; a recipe has one.
@@ -211,18 +213,19 @@ def train(
         )
     if n > 1 and (own := machine.own_parts(config)):
         raise ConfigError(f"processes={n}: {own} is known only to this process; give processes=1")
-    with contextlib.closing(logs), machine.use_threads(machine.threads(config, n)):
-        return _together(recorder, n, quiet, tell) if n > 1 else fit(recorder, quiet, tell)
+    threads = checked("threads", threads, Count | None) or machine.threads(config, n)
+    with contextlib.closing(logs), machine.use_threads(threads):
+        return _together(recorder, n, threads, quiet, tell) if n > 1 else fit(recorder, quiet, tell)
 
 
-def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run:
+def _together(recorder: Recorder, n: int, threads: int, quiet: bool, tell: Tell | None) -> Run:
     config = recorder.config
     compile = recorder.repeat(machine.decide(config))
     with recorder, Display(config, quiet, tell) as display:
         recorder.note(compiled=compile, processes=n)
         done = min(worker.saved() for worker in workers.split(config, recorder.path, n))
         display.begin(recorder, done)
-        return workers.train(recorder, n, machine.threads(config, n), display.update)
+        return workers.train(recorder, n, threads, display.update)
 
 
 def make_env(config: TrainConfig, compile: bool) -> DroneEnv:

@@ -786,7 +786,8 @@ CASES = [
         VERIFIES),
     *(run("config.yaml", f"without its {line.partition(':')[0]}", replaced(f"{line}\n", ""),
         f"not a run's, its {line.partition(':')[0]}=None", RUN, VERIFIES)
-        for line in ("task: drone", "reward: eq14", "layouts: train", "gamma: 0.99", "total_frames: 64")),
+        for line in ("preset: paper", "task: drone", "reward: eq14", "layouts: train", "gamma: 0.99",
+            "total_frames: 64")),
     Case("run/config.yaml: a layout file that is gone", "run/config.yaml",
         replaced("layouts: train", "layouts: tset"), verify, LayoutError,
         "layouts='tset': no such layout file", FILE, VERIFY),

@@ -112,7 +112,8 @@ def contents(
             ).encode()
         for algorithm, (header, *rows) in content.paper_tables.items():
             rows = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
-            found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *rows]).encode()
+            if rows:  # else only other studies have the algorithm
+                found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *rows]).encode()
         if episodes := first_episodes(content):
             drones = paths(episodes, PREVIEWED)
             firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}

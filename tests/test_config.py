@@ -240,3 +240,7 @@ def test_the_default_preset_is_the_papers_with_one_environment_and_vectorised_ha
 def test_a_folder_of_digits_keeps_its_name():
     assert _sweep(["out=007", "seed=007"], False) == [{"out": "007", "seed": 7}]
     assert _sweep(["out=null"], False) == [{"out": None}]
+
+
+def test_several_plugins_are_one_value():
+    assert _sweep(["plugins=one,two", "seed=1"], False) == [{"plugins": "one,two", "seed": 1}]

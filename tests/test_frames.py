@@ -695,3 +695,8 @@ def test_one_configuration_or_one_seed_has_no_order_and_equal_means_leave_it_ope
         assert np.isnan(stats.concordance(first, two[: len(first)])[:3]).all()
     assert stats.concordance([two[0], two[0]], two) == (0, -1, 1, 2)
     assert np.isnan(stats.concordance([np.array([np.nan, 2.0]), two[1]], two)[:3]).all()
+
+
+def test_nobody_is_said_to_pass_a_scripted_policy_that_did_not_fly():
+    gaps = pd.DataFrame({"algorithm": ["", "ppo"], "mode": "sampled", "above": [np.nan, np.nan], "n": [1, 3]})
+    assert frames.passing(gaps).empty

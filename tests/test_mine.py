@@ -12,7 +12,7 @@ from bad_input import put
 from runs_by_hand import rows, two, write_policies, write_run
 
 from uavnav.colours import OTHERS, PILOTS
-from uavnav.report import charts, compare, frames, mine, places, report
+from uavnav.report import charts, compare, mine, places, report
 from uavnav.report.configurations import collect
 from uavnav.report.content import gather
 from uavnav.runs.tables import write_table
@@ -191,8 +191,3 @@ def test_scripted_policies_of_another_task_are_not_shown_beside_the_papers(tmp_p
         table.attrs = header
         write_table(tmp_path / "baselines" / f"{name}.parquet", table)
     assert [*gather([tmp_path]).baselines] == ["reactive"]
-
-
-def test_nobody_is_said_to_pass_a_scripted_policy_that_did_not_fly():
-    gaps = pd.DataFrame({"algorithm": ["", "ppo"], "mode": "sampled", "above": [np.nan, np.nan], "n": [1, 3]})
-    assert frames.passing(gaps).empty

@@ -163,6 +163,7 @@ def test_a_rung_and_a_layout_file_are_on_the_page_under_their_names(tmp_path, ca
         (lambda text: text.replace("30,0,0,0,40", "30,5,6,0,40"), "line 2 is no episode"),
         (lambda text: text.replace("30,0,0,0,40", "30,0,0,0,271"), "line 2 is no episode"),
         (lambda text: text.replace("-10.5", "much"), "cannot be read"),
+        (lambda text: text.replace("30,0,0,0,40", "30,0,0,0,40.5"), "cannot be read"),
     ],
 )
 def test_a_file_to_keep_that_is_none_of_the_pages_is_one_line_and_nothing_is_kept(

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import os
 import re
 import shutil
 from pathlib import Path
@@ -191,6 +192,17 @@ def test_another_configuration_is_refused_and_nothing_is_lost(copied):
     with pytest.raises(RunError, match="contains a run with lr="):
         train(type(config)(**vars(config) | {"lr": 0.123}), out=run.path, quiet=True)
     assert {path.name: path.read_bytes() for path in run.path.iterdir()} == before
+
+
+@of_ppo
+def test_a_folder_that_can_be_written_is_taken_though_the_one_above_cannot(trained, tmp_path, monkeypatch):
+    train, config, _ = trained
+    (tmp_path / "run").mkdir()
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path and access(path, mode))
+    assert train(config, out=tmp_path / "run", quiet=True).fresh
+    with pytest.raises(RunError, match=f"{tmp_path} is not a folder that can be written"):
+        train(config, out=tmp_path / "other", quiet=True)
 
 
 @of_ppo

@@ -69,7 +69,13 @@ after.
 
 
 @pytest.mark.parametrize(
-    "command", ["-m uavnav", "-m uavnav evaluate reactive --episodes 2 --max-steps 50", f"-c {UNREAD}"]
+    "command",
+    [
+        "-m uavnav",
+        "-m uavnav runs",
+        "-m uavnav evaluate reactive --episodes 2 --max-steps 50",
+        f"-c {UNREAD}",
+    ],
 )
 def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe_and_leaves_no_word(command, tmp_path):
     line = f"{sys.executable} {command} | true; exit ${{PIPESTATUS[0]}}"

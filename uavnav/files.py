@@ -127,10 +127,15 @@ def parsed_yaml(text: str | bytes) -> Any:
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
+def nearest(path: Path) -> Path:
+    """The path, or the nearest folder above it that is there."""
+    return next(one for one in (path, *path.absolute().parents) if one.exists())
+
+
 def check_out(path: Path) -> None:
     """Raise a ValueError for a file that could not be written; its folders may yet be made."""
     try:
-        folder = next(one for one in Path(_named(path)).absolute().parents if one.exists())
+        folder = nearest(Path(_named(path)).absolute().parent)
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
         if path.exists() and not path.is_file():

@@ -80,7 +80,7 @@ def run(measurements: Sequence[Measurement], cache: Path, say: Callable[[str], N
                 results.missing[one.name] = said = str(error)
             took = timedelta(seconds=round(time.monotonic() - began))
             say(f"{took} {count}/{len(rounds)} {one.name}: {said}")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, BrokenPipeError):  # nobody reads what is said
         results.stopped = True
     return results
 

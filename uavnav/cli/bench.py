@@ -5,16 +5,16 @@ Rounds are interleaved; each measurement is a fresh process. A run that is stopp
 
 from __future__ import annotations
 
+import functools
 import signal
 import sys
 from argparse import Namespace
-
-from rich.console import Console
 
 from uavnav.bench import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.bench.jobs import run
 from uavnav.bench.page import sections, write_sections
 from uavnav.bench.plan import plan
+from uavnav.errors import ConfigError
 from uavnav.files import check_out
 
 STOPS = (signal.SIGTERM, signal.SIGHUP)  # signals that stop a run as Ctrl-C does
@@ -23,13 +23,14 @@ STOPS = (signal.SIGTERM, signal.SIGHUP)  # signals that stop a run as Ctrl-C doe
 def main(arguments: Namespace) -> int:
     """Measure the sections that are asked for; other sections stay as they are in the file."""
     names = arguments.only or (QUICK if arguments.quick else BY_DEFAULT)
+    if arguments.quick and (slow := [name for name in names if name not in QUICK]):
+        raise ConfigError(f"--quick: {', '.join(slow)} cannot be quick; leave out --quick")
     out = arguments.out or (SCRATCH / "quick.md" if arguments.quick else OUT)
-    console = Console(highlight=False, soft_wrap=True, markup=False)
     for number in STOPS:
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
     check_out(out)
-    results = run(plan(names, arguments.quick), SCRATCH, console.print)
+    results = run(plan(names, arguments.quick), SCRATCH, functools.partial(print, flush=True))
     tables = sections(results)
     if tables:
         marks = ["one round each"] * arguments.quick + ["cut short"] * results.stopped

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import glob
 import importlib
 import os
 import re
@@ -183,7 +184,7 @@ def needs(algorithm: str, settings: Sequence[str]) -> str:
 
     given = {key: next(iter(names_in(settings, key)), usual) for key, usual in USUAL.items()}
     usual = default_folder(algorithm, **given, changes={})
-    names = names_in(settings, "out") or sorted(map(str, usual.parent.glob(f"{usual.name}*")))
+    names = names_in(settings, "out") or sorted(map(str, usual.parent.glob(f"{glob.escape(usual.name)}*")))
     for name in names:
         with contextlib.suppress(RunError):
             if noted := read_settings(Path(name) / "meta.json").get("plugins"):

@@ -170,7 +170,9 @@ def main(arguments: Namespace) -> int:
     if not console.is_terminal and "COLUMNS" not in os.environ:  # nothing limits a file
         console.width = WIDEST
     if not (arguments.watch and console.is_terminal):
-        console.print(shown(rows))
+        with console.capture() as told:  # a closed pipe is met as by `print`
+            console.print(shown(rows))
+        print(told.get(), end="")
         if arguments.watch:
             complain("runs", "--watch: no terminal to renew, so this is shown once")
         return 0

@@ -18,12 +18,13 @@ from rich.table import Table
 
 from uavnav import files, plugins, studies
 from uavnav.cli import commands
+from uavnav.cli.train import value_of
 from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, scripted
 from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
-from uavnav.settings import AtLeast0, Count, Settings, key
+from uavnav.settings import Count, Seconds, Settings, key
 from uavnav.studies import Configuration, draws, engines, search, tuning
 from uavnav.studies.run import Runner, Work, check_folder, evaluated, let_go, make_layouts, trained
 from uavnav.tasks import ladders, layouts
@@ -45,7 +46,7 @@ class Keys(Settings):
     trials: Count | None = key(None, le=1_000)
     algorithms: str | None = key(None)
     seeds_per_worker: Count | None = key(None)
-    checkpoint_seconds: AtLeast0 = key(CHECKPOINT_SECONDS)
+    checkpoint_seconds: Seconds = key(CHECKPOINT_SECONDS)
     policies: bool = key(False)
     report: bool = key(True)
     plugins: Any = key(None)
@@ -60,10 +61,7 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
             raise ConfigError(f"{word!r} is no setting; settings are key=value: engine=local")
         if not value:
             raise ConfigError(f"{word}: give a value, or leave it out")
-        try:
-            given[name] = files.parsed_yaml(value)
-        except ValueError as error:
-            raise ConfigError(f"{word}: its value cannot be read") from error
+        given[name] = value_of(word, value)
     own = Keys(**{name: given.pop(name) for name in Keys.names() if name in given})
     plugins.load(commands.names_in(words, "plugins"))
     return own, given
@@ -130,7 +128,7 @@ def main(arguments: Namespace) -> int:
     own, of_engine = parse(arguments.settings)
     study = studies.only(studies.read(arguments.name, own.seeds, own.frames), own.algorithms)
     out = Path(own.out or Path("runs") / study.name)
-    if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
+    if not files.nearest(out).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
     if own.trials is not None and study.tune is None and study.draw is None:
         raise ConfigError(f"trials={own.trials}: study {study.name} neither tunes nor draws; leave it out")

@@ -123,7 +123,7 @@ def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
     values: dict[str, Sequence[Any]] = {}
     for word in words:
         name, _, text = word.lstrip("+").partition("=")
-        values[name] = _values(word, text)
+        values[name] = [text] if name == "plugins" else _values(word, text)  # all of them at once
     several = [name for name, found in values.items() if len(found) > 1]
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
@@ -135,7 +135,7 @@ def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
 def _values(word: str, text: str) -> Sequence[Any]:
     """The values in a setting's text: of `relu,tanh` two, of range(0,3) three."""
     if not text.startswith("range("):
-        return [_value(word, part) for part in _parts(text)]
+        return [value_of(word, part) for part in _parts(text)]
     try:
         values = range(*map(int, text.removeprefix("range(").removesuffix(")").split(",")))
     except (TypeError, ValueError) as error:
@@ -162,7 +162,7 @@ def _parts(text: str) -> list[str]:
     return parts
 
 
-def _value(word: str, text: str) -> Any:
+def value_of(word: str, text: str) -> Any:
     """A number, true, false, null, a list or a mapping as in YAML; anything else is text."""
     if text[:1] in ("'", '"') and text[1:].endswith(text[0]):
         return text[1:-1]

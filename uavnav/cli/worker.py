@@ -17,14 +17,12 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from uavnav import files, plugins
 from uavnav.errors import OneLineError
 from uavnav.evaluation import evaluate_run
-from uavnav.runs import Run
+from uavnav.runs import Run, Threads
 from uavnav.runs.policies import Diverged
 from uavnav.runs.tables import RunError
 from uavnav.tasks.faults import from_option
@@ -40,7 +38,7 @@ class Job(files.Facts):
     folder: str
     config: dict[str, Any]
     how: dict[str, Any]
-    threads: Annotated[int, Field(ge=1, le=2**12)]
+    threads: Threads
     evaluation: dict[str, Any] | None
 
 

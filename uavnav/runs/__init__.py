@@ -69,6 +69,7 @@ MOST_SEEDS = 2**20
 Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f/]+$", max_length=100)]
 """Of a line in a table, also a user's: it may be part of a path."""
 Count = Annotated[int, Field(ge=0, lt=2**53)]
+Threads = Annotated[int, Field(ge=1, le=2**12)]
 
 
 class Config(Facts):
@@ -98,7 +99,7 @@ class Meta(Facts):
     ended: str = ""
     wall_seconds: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     compiled: bool = False
-    threads: Annotated[int, Field(ge=1, le=2**12)] = 1
+    threads: Threads = 1
     processes: Annotated[int, Field(ge=1, le=MOST_SEEDS)] = 1
     versions: dict[str, str | None] = Field(default_factory=dict)
     layouts: dict[str, str | int | None] = Field(default_factory=dict)

@@ -88,12 +88,11 @@ def read_csv(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame
         content = files.read(path, CSV_BYTES)
         if content.partition(b"\n")[0].strip() != ",".join(columns).encode():
             raise ValueError("its columns are others")
-        table = pd.read_csv(io.BytesIO(content), float_precision="round_trip")
-        for column, kind in columns.items():
-            words = table[column].map(lambda value: isinstance(value, str))
-            if not words.all() if kind == "object" else words.any():
-                raise ValueError(f"{column} is no {kind}")
-        return table.astype(dict(columns))
+        kinds: Any = dict(columns)
+        table: pd.DataFrame = pd.read_csv(io.BytesIO(content), dtype=kinds, float_precision="round_trip")
+        if table[[column for column, kind in columns.items() if kind == "object"]].isna().any(axis=None):
+            raise ValueError("a word is missing")
+        return table
     except (OSError, ValueError, OverflowError) as error:
         raise RunError(f"{path}: cannot be read ({error}); {again}") from error
 

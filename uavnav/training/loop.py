@@ -21,7 +21,7 @@ from torchrl.data import ReplayBuffer
 from uavnav.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.errors import ConfigError, told
-from uavnav.runs import Run
+from uavnav.runs import Run, Threads
 from uavnav.runs.tables import RunError
 from uavnav.settings import Count, Seconds, checked
 from uavnav.training import loggers, machine, probes, weights, workers
@@ -213,7 +213,7 @@ def train(
         )
     if n > 1 and (own := machine.own_parts(config)):
         raise ConfigError(f"processes={n}: {own} is known only to this process; give processes=1")
-    threads = checked("threads", threads, Count | None) or machine.threads(config, n)
+    threads = checked("threads", threads, Threads | None) or machine.threads(config, n)
     with contextlib.closing(logs), machine.use_threads(threads):
         return _together(recorder, n, threads, quiet, tell) if n > 1 else fit(recorder, quiet, tell)
 

@@ -177,15 +177,13 @@ class Recorder:
             named = False
         if not named:
             raise RunError(f"out={path}: no folder can have such a name; give another")
-        parent = next(parent for parent in path.absolute().parents if parent.exists())
-        if not parent.is_dir() or not os.access(parent, os.W_OK):
-            raise RunError(f"out={path}: {parent} is not a folder that can be written; give one that is")
         if path.exists() and not path.is_dir():
             raise RunError(f"out={path}: is a file; give a folder")
+        nearest = files.nearest(path)
+        if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+            raise RunError(f"out={path}: {nearest} is not a folder that can be written; give one that is")
         if not path.exists() or all(map(self._no_run_yet, path.iterdir())):
             return False
-        if not os.access(path, os.W_OK):
-            raise RunError(f"out={path}: is not a folder that can be written; give one that is")
         if not os.path.lexists(path / "config.yaml"):
             raise RunError(f"out={path}: contains other files and no run; give a new or empty folder")
         there = read_settings(path / "config.yaml", "give a new or empty folder")

@@ -236,7 +236,7 @@ def call(told, function, *given, spoil=lambda folder: None, works=False, **named
             function(*given, **named)
         except Interrupted as stop:
             print(stop, file=sys.stderr)
-            return 0 if stop.wanted else 128 + stop.signum  # `until` was asked for
+            return 0 if stop.wanted else stop.status  # `until` was asked for
         except TYPED as error:
             print(error, file=sys.stderr)
             return 2

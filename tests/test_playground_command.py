@@ -152,6 +152,9 @@ def test_a_rung_and_a_layout_file_are_on_the_page_under_their_names(tmp_path, ca
     assert list(data["layouts"]["drone"]) == ["test", "validation", "train", "density-12/test"]
 
 
+FLOWN = f"{','.join(EPISODE_COLUMNS)}\n0,30,7,7,30,0,0,0,40,-10.5,True,False\n"  # an episode of the page
+
+
 @pytest.mark.parametrize(
     ("change", "line"),
     [
@@ -170,17 +173,24 @@ def test_a_file_to_keep_that_is_none_of_the_pages_is_one_line_and_nothing_is_kep
     change, line, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    row = [0, 30, 7, 7, 30, 0, 0, 0, 40, -10.5, True, False]
-    text = f"{','.join(EPISODE_COLUMNS)}\n{','.join(map(str, row))}\n"
     path = tmp_path / "human.csv"
-    path.write_text(change(text))
+    path.write_text(change(FLOWN))
     assert main(["play", "--keep", str(path)]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"uavnav play: {path}: {line}")
     assert "give human.csv, which K of the playground saves" in err
     assert not (tmp_path / "runs").exists()
-    path.write_text(text)
+    path.write_text(FLOWN)
     assert main(["play", "--keep", str(path)]) == 0
+
+
+def test_two_flights_alike_are_two_and_a_file_that_is_kept_again_adds_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    head, line = FLOWN.splitlines()
+    for flights, said in ((1, "1 episodes, 1 of"), (3, "3 episodes, 2 of"), (3, "3 episodes, 0 of")):
+        Path("human.csv").write_text("\n".join([head, *[line] * flights]))
+        assert main(["play", "--keep", "human.csv"]) == 0
+        assert f": {said} them new" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -56,19 +56,19 @@ def remove(path: Path) -> None:
         path.unlink()
 
 
+def _at_once(name: str, flags: int) -> int:
+    return os.open(name, flags | os.O_NONBLOCK)  # a pipe would wait
+
+
 def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
     """What a file contains; raises an OSError where it is no regular one, or has more than so many bytes."""
-    descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
-    try:
-        there = os.fstat(descriptor)
+    with open(_named(path), "rb", opener=_at_once) as file:
+        there = os.fstat(file.fileno())
         if not stat.S_ISREG(there.st_mode):
             raise OSError(errno.EINVAL, "it is no file")
         if there.st_size > most:
             raise OSError(errno.EFBIG, f"it has {there.st_size:,} bytes, more than {most:,}")
-        with open(descriptor, "rb", closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(descriptor)
+        return file.read()
 
 
 def facts(kind: type[Kind], said: Any) -> Kind:

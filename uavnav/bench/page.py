@@ -108,7 +108,7 @@ def read_sections(path: Path) -> dict[str, str]:
     """The sections of a file as they stand, the text before the first as ""; none of no file."""
     if not path.is_file():
         return {}
-    head, *parts = MARK.split(path.read_text())
+    head, *parts = MARK.split(path.read_text(errors="replace"))
     return dict(zip(["", *parts[::2]], (text.strip() for text in (head, *parts[1::2])), strict=True))
 
 

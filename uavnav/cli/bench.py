@@ -12,7 +12,7 @@ from argparse import Namespace
 
 from uavnav.bench import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.bench.jobs import run
-from uavnav.bench.page import sections, write_sections
+from uavnav.bench.page import read_sections, sections, write_sections
 from uavnav.bench.plan import plan
 from uavnav.errors import ConfigError
 from uavnav.files import check_out
@@ -30,6 +30,8 @@ def main(arguments: Namespace) -> int:
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
     check_out(out)
+    if len(read_sections(out)) == 1:  # it is there, without a mark
+        raise ConfigError(f"--out {out}: contains something else; give a new file")
     results = run(plan(names, arguments.quick), SCRATCH, functools.partial(print, flush=True))
     tables = sections(results)
     if tables:

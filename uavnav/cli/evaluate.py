@@ -49,8 +49,6 @@ def _found(name: str, arguments: Namespace) -> Run | Flyer:
 
 def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
     """Raise a ConfigError for options that do not go with what is named or with each other."""
-    if not 1 <= arguments.seeds <= MOST_SEEDS:
-        raise ConfigError(f"--seeds {arguments.seeds}; give at least 1 and at most {MOST_SEEDS:,}")
     of_one_split = arguments.across is None and not arguments.transfer
     only_runs = all(isinstance(one, Run) for one in found.values())
     several = f"only {DRAWS} has several, on the layouts of one split"
@@ -127,11 +125,13 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
 
 def main(arguments: Namespace) -> int:
     """Evaluate all that is named on one split, or across ladders, or in each other's tasks."""
+    if not 1 <= arguments.seeds <= MOST_SEEDS:
+        raise ConfigError(f"--seeds {arguments.seeds}; give at least 1 and at most {MOST_SEEDS:,}")
     learned = [
         *policies.zips(arguments.runs, arguments.activation),
         *filter(shipped.is_shipped, arguments.runs),
     ]
-    if arguments.out is not None and len({Path(name).stem for name in learned}) < len(learned):
+    if arguments.out is not None and len({Path(name).stem for name in learned}) < len({*learned}):
         raise ConfigError(f"--out {arguments.out}: two policies of one name would share a file; rename one")
     found = {name: _found(name, arguments) for name in arguments.runs}
     _check(arguments, found)

@@ -17,10 +17,9 @@ def main(arguments: Namespace) -> int:
     if arguments.run in SCRIPTED and not os.path.exists(arguments.run):
         raise ConfigError(f"{arguments.run}: a scripted policy has no network; give a trained one")
     check_out(path := Path(arguments.out))
-    if not path.parent.is_dir():
-        raise ConfigError(f"--out {path}: there is no folder {path.parent}; give one that is there")
     zips([arguments.run], arguments.activation)
     policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
+    path.parent.mkdir(parents=True, exist_ok=True)
     export_policy(policy, path)
     print(f"{path}: observation [N, {policy.task.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0

@@ -75,7 +75,9 @@ def keep(path: Path, person: int) -> str:
     ROWS.parent.mkdir(parents=True, exist_ok=True)
     with lock(ROWS.parent):
         before = read_table(ROWS, EVALUATED, "move it away") if ROWS.exists() else rows[:0]
-        together = pd.concat([before, rows], ignore_index=True).drop_duplicates(ignore_index=True)
+        flights = [part.assign(again=part.groupby([*part]).cumcount()) for part in (before, rows)]
+        together = pd.concat(flights, ignore_index=True).drop_duplicates(ignore_index=True)
+        together = together.drop(columns="again")
         together.attrs = {"layouts": "test", "max_steps": MAX_STEPS}
         write_table(ROWS, together)
     return f"{ROWS}: {len(together)} episodes, {len(together) - len(before)} of them new; uavnav report runs"

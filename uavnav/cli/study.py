@@ -171,9 +171,6 @@ def main(arguments: Namespace) -> int:
         flying = bool(study.scripted_folder) and not (untold or failed)
         home = out / str(study.scripted_folder)
         evaluations = scripted_evaluations(found, home, study.scripted) if flying else []
-        compared = out / "baselines" / "reactive.parquet"  # what a winner of tuning is compared with
-        if plan is not None and own.report and not (untold or failed or compared.exists()):
-            evaluations.append(["reactive", "--out", str(compared.parent)])
         unevaluated = 0
         for words in evaluations:
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")

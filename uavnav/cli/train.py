@@ -40,8 +40,6 @@ MOST_COMPARED = 4  # the newest runs of a sweep, in the command that compares th
 
 
 def _folder(value: Any) -> Any:
-    if type(value) in (int, float):  # a folder's name may be a number
-        return str(value)
     if not isinstance(value, str | None) or value == "":
         raise ConfigError(f"out={told(value)}; give a folder")
     return value

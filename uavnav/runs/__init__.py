@@ -288,7 +288,7 @@ def saved_frames(folder: Path) -> int:
         return min(map(saved_frames, workers))
     if not (folder / "checkpoint").is_dir() and os.path.lexists(folder / "meta.json"):
         return read_settings(folder / "meta.json").get("frames") or 0  # a worker that has finished
-    states = sorted(path.name for path in folder.glob("checkpoint/state-*-*.safetensors"))
+    states = sorted(path.name for path in folder.glob("checkpoint/state-[0-9]*-*.safetensors"))
     return int(states[-1].split("-")[1]) if states else 0
 
 

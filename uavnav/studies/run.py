@@ -25,7 +25,7 @@ from uavnav import files, plugins
 from uavnav.errors import ConfigError
 from uavnav.evaluation import rows_across, together
 from uavnav.evaluation.scripted import options
-from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
+from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.studies import Configuration, engines
@@ -244,9 +244,6 @@ class Runner:
         self.checkpoint_seconds = checkpoint_seconds
         self.per_worker = seeds_per_worker or engine.SEEDS_PER_WORKER
         self.policies = policies
-        for configuration in configurations:
-            if (n := configuration.config.n_seeds) > MOST_SEEDS:
-                raise ConfigError(f"{configuration.out}: n_seeds={n}; give at most {MOST_SEEDS:,}")
         self.works = [Work(one) for one in configurations if not (self._trained(one) and evaluated(one))]
         for configuration in configurations:
             # the folder of a finished one, too, may contain another run

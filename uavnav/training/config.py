@@ -16,7 +16,7 @@ from torch import nn
 from uavnav import files
 from uavnav.errors import ConfigError, among, telling_line, told, unknown
 from uavnav.networks import ACTIVATIONS, Init, mlp
-from uavnav.runs import default_folder
+from uavnav.runs import MOST_SEEDS, default_folder
 from uavnav.settings import (
     AtLeast0,
     Count,
@@ -26,6 +26,7 @@ from uavnav.settings import (
     Share,
     Units,
     Whole,
+    at_most,
     flat,
     key,
     part,
@@ -73,7 +74,9 @@ class TrainConfig(Settings):
     preset: str = key("paper", "which table of settings to start from")
     activation: Annotated[str, AfterValidator(OneOf(ACTIVATIONS))] = key("tanh", "of the hidden layers")
     seed: Whole = key(0, "the first of the seeds", ge=0, le=2**31 - 1)
-    n_seeds: Count = key(1, "trained in parallel; their seeds count from the first", "agents")
+    n_seeds: Annotated[Count, at_most(MOST_SEEDS)] = key(
+        1, "trained in parallel; their seeds count from the first", "agents"
+    )
     total_frames: Count = key(1_000_000, "length of training, in whole iterations", "frames per seed")
     n_envs: Count = key(1, "that act in parallel", "environments per seed")
     hidden: Units = key((64, 64), "of each hidden layer", "units")

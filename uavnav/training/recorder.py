@@ -87,7 +87,7 @@ class Interrupted(RunError):
 
     def __init__(self, message: str, signum: int, frames: int, wanted: bool) -> None:
         super().__init__(message)
-        self.signum, self.status = signum, 128 + signum
+        self.status = 128 + signum
         self.frames = frames  # per seed, as saved; 0 if nothing was
         self.wanted = wanted  # by `until`
 
@@ -263,6 +263,7 @@ class Recorder:
         for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
             shutil.rmtree(self.path / name, ignore_errors=True)
         self._began = self._saved = time.perf_counter()
+        self._saving = 0.0  # how long the last snapshot took [s]
         self.meta = (
             self._before | self.meta | {"status": "running", "started": self._before.get("started", _now())}
         )
@@ -389,7 +390,8 @@ class Recorder:
         wanted = self.stop is None and self.until is not None and frames >= self.until
         if wanted:
             self.stop = signal.SIGTERM
-        if self.stop is None and now - self._saved < self.checkpoint_seconds:
+        pause = max(self.checkpoint_seconds, self._saving / CHECKPOINT_SHARE)
+        if self.stop is None and now - self._saved < pause:
             return
         joined = {table: _joined(rows, []) for table, rows in self._tables.items()}
         state: dict[str, Any] = {"parts": {name: part.state_dict() for name, part in parts.items()}}
@@ -406,7 +408,7 @@ class Recorder:
         except OSError as error:
             raise RunError(f"{self._checkpoints.folder}: cannot be written ({error})") from error
         self._saved = time.perf_counter()
-        self.checkpoint_seconds = max(self.checkpoint_seconds, (self._saved - now) / CHECKPOINT_SHARE)
+        self._saving = self._saved - now
         if self.stop is not None:
             raise self.interrupted(frames, wanted)
 

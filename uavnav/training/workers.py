@@ -5,8 +5,8 @@
     workers/0.ended  how its process ended, in JSON
     workers/0.log    what its process prints, where a study has given it to an engine
 
-Whoever starts a worker reads its `progress.json`, and writes the file `stop` to have it save and end. When
-all have finished, their rows and weights are put together, and `workers` goes.
+Whoever starts a worker reads its `progress.json`. Closing its standard input, or the file `stop`, has it save
+and end. When all have finished, their rows and weights are put together, and `workers` goes.
 
 A worker may be given to another process. Its folder then gets the next name, `0.2` after `0.1`: the former
 process, if it lives on, finds its folder gone and can no longer write.
@@ -227,7 +227,6 @@ def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Ite
         "watched": True,
     }
     begin = f"import sys; sys.path[:] = {sys.path!r}; from uavnav.cli.worker import main; main(sys.argv[1:])"
-    seconds = STOP_SECONDS
     try:
         for worker in workers:
             command = [sys.executable, "-c", begin, *worker.prepare(threads, **how)]
@@ -236,16 +235,10 @@ def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Ite
             processes.append(process)
         yield processes
     finally:
-        for worker, process in zip(workers, processes, strict=False):
-            try:
-                if process.poll() is None:
-                    (worker.folder / STOP).touch()
-            except OSError:  # what cannot hear that it shall stop cannot save itself either
-                seconds = 0.0
-        end(processes, seconds)
         for process in processes:
             assert process.stdin is not None
-            process.stdin.close()
+            process.stdin.close()  # it is watched: a worker then saves and ends
+        end(processes, STOP_SECONDS)
 
 
 def end(processes: Sequence[Process], seconds: float = 0.0) -> None:

@@ -9,7 +9,6 @@ import functools
 import io
 import itertools
 import math
-import os
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -217,9 +216,6 @@ def check_picture(path: Path, rate: Fraction) -> str:
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
         raise ValueError(f"{path}{did_you_mean(kind, SUFFIXES)}: choose an .mp4, .gif or .png file")
-    if not os.path.isdir(path.parent):
-        reason = f"there is no folder {path.parent}"
-        raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written")
     if kind == ".mp4":
         _pyav()
     bound = ""
@@ -246,6 +242,7 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
     else:
         content = (_mp4 if kind == ".mp4" else _gif)(frames, rate)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         files.write(path, content.getvalue())
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error}); give a path that can be written") from error

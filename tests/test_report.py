@@ -127,24 +127,15 @@ def test_six_missing_configurations_are_named_and_have_rows(text):
     assert len(found(text, "sigmoid", "missing: no finished run")) == 2
 
 
-def test_runs_of_other_seeds_are_merged_and_of_another_setting_labelled(results):
+def test_runs_of_other_seeds_are_merged_and_of_another_setting_named(results):
     write_run(results / "more", two(2, -10.0), seed=2)
     write_run(results / "faster", two(0, -1.0), lr=0.5)
-    write_run(results / "rewarded", two(0, -2.0), reward="initial")
-    text = said(results)
-    merged = found(text, "tanh", "all training episodes")[0]
+    content = gather([results])
+    merged = found(markdown(content), "tanh", "all training episodes")[0]
     assert merged[0] == "3"
     assert merged[-1] == "−8.00 [−12.97, −3.03]"
-    assert found(text, "tanh (lr=0.5)", "all training episodes")[0][-1] == "−1.00"
-    assert found(text, "tanh (reward=initial)", "all training episodes")[0][-1] == "−2.00"
-    usual = "preset=vectorised, frames=1,000, n_envs=16, obstacles=8, reward=eq14, init=default"
-    assert f"Unless a row says otherwise: {usual}, lr=0.0001 (" in text  # dqn, where lr differs
-    assert f"Unless a row says otherwise: {usual} (" in text  # ppo, where nothing does
-
-
-def test_settings_beyond_the_preset_are_named_even_where_all_runs_share_them(tmp_path):
-    write_run(tmp_path / "run", two(0, -1.0), lr=0.25, meta={"beyond_preset": {"lr": 0.25}})
-    assert "init=default, lr=0.25 (" in said(tmp_path)
+    named = "in no study; it differs from the main one in"
+    assert f"{results / 'faster'}: {named} lr=0.5" in content.left_out
 
 
 def test_runs_on_other_layout_files_or_in_another_world_are_not_merged(tmp_path):
@@ -355,14 +346,17 @@ def test_a_field_of_the_world_is_a_setting_of_its_own(tmp_path):
     assert {"slots", "padding", "start_heading", "world"} & {*configuration.settings} == set()
 
 
-def test_a_field_of_the_world_otherwise_is_labelled(tmp_path):
+def test_a_field_of_the_world_otherwise_is_named(tmp_path):
     write_run(tmp_path / "usual", two(0, -1.0), two(1, -1.0))
     for seed in (0, 1):
         write_run(tmp_path / f"listed{seed}", two(seed, -1.0), seed=seed, world={"slots": "listed"})
     write_run(tmp_path / "arc", two(0, -1.0), world={"sensor_arc": 360.0})
-    text = said(tmp_path)
-    assert found(text, "tanh (world.slots=listed)", PRIMARY)[0][0] == "2"
-    assert found(text, "tanh (world.sensor_arc=360.0)", PRIMARY)[0][0] == "1"
+    content = gather([tmp_path])
+    print(content.left_out)
+    assert found(markdown(content), "tanh", PRIMARY)[0][0] == "2"
+    named = "in no study; it differs from the main one in world"
+    for name, how in (("listed0", "slots=listed"), ("listed1", "slots=listed"), ("arc", "sensor_arc=360.0")):
+        assert f"{tmp_path / name}: {named}.{how}" in content.left_out
 
 
 def test_another_task_is_another_configuration_and_its_world_has_no_defaults_of_the_drones(tmp_path):

@@ -24,7 +24,6 @@ from uavnav.report.tables import (
     LISTED,
     crossed,
     digits,
-    latex,
     listed,
     number,
     operating,
@@ -92,13 +91,6 @@ def test_a_crossed_table_has_a_row_and_a_column_a_value_in_order_and_dashes_wher
     assert crossed(frame, "row", "algorithm", None, {"dqn": "its", "other": "no"})[:2] == [
         ["row", "its", "seeds"],
         ["x", "0.500", "5"],
-    ]
-
-
-def test_latex_is_a_tabular_with_rules_and_escaped_signs():
-    assert latex([["a_b", "c", "%"], ["x & y", "−1", "–"]]).splitlines() == [
-        *(r"\begin{tabular}{llr}", r"\toprule", r"a\_b & c & \% \\", r"\midrule"),
-        *(r"x \& y & $-$1 & -- \\", r"\bottomrule", r"\end{tabular}"),
     ]
 
 

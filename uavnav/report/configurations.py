@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from uavnav.runs.definitions import (
 )
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, in_order, last_episodes, per_seed
 from uavnav.runs.tables import RunError, joined
-from uavnav.settings import differing, flat
+from uavnav.settings import flat
 from uavnav.tasks.world import World
 
 BINS = 25
@@ -42,8 +41,6 @@ APART = ("worlds", "longer", "ambiguities", "noise", "activations", "horizon", "
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds", "keep_at")
 MODE = MODES[1]
 """How a policy acts at the end of training: what a report shows where it does not say greedy."""
-NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
-"""Settings that every section names, besides those in which configurations differ."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
 Key = tuple[str, str]
 """Algorithm and activation."""
@@ -215,32 +212,6 @@ def order(key: Key) -> tuple[int | bool | str, ...]:
     known, of_paper = [*paper.TABLE_OF, *ALGORITHMS, algorithm], [*paper.ACTIVATIONS, activation]
     is_other = activation not in paper.ACTIVATIONS
     return is_other, known.index(algorithm), algorithm, of_paper.index(activation), activation
-
-
-def label(
-    configurations: list[Configuration], main: Sequence[Configuration] = ()
-) -> tuple[list[tuple[str, Configuration]], str]:
-    """An algorithm's configurations by how each differs from what is usual, in order; and what is usual.
-
-    main: those of the main study, which say what is usual if there are some.
-    """
-    settings = [{key: show(value) for key, value in one.settings.items()} for one in configurations]
-    counted = [own for own, one in zip(settings, configurations, strict=True) if one in main] or settings
-    changed = differing(settings)
-    changed -= {"total_frames"} if "frames" in changed else set()
-    beyond = {
-        key for one in configurations for run in one.runs for key in flat(run.meta["beyond_preset"])
-    } - {"layouts"}
-    named = [*NAMED, *sorted((changed | beyond).difference(NAMED))]
-    usual = {
-        key: Counter(one.get(key) for one in counted).most_common(1)[0][0] for key in named if configurations
-    }
-    labelled = []
-    for configuration, own in zip(configurations, settings, strict=True):
-        changes = ", ".join(f"{key}={own.get(key)}" for key in usual if own.get(key) != usual[key])
-        labelled.append((configuration.activation + f" ({changes})" * bool(changes), configuration))
-    labelled.sort(key=lambda pair: (*order((pair[1].algorithm, pair[1].activation)), pair[0]))
-    return labelled, ", ".join(f"{key}={value}" for key, value in usual.items())
 
 
 def episodes_of(configuration: Configuration, definition: str) -> pd.DataFrame:

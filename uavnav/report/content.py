@@ -114,13 +114,12 @@ class Content:
     @functools.cached_property
     def paper_tables(self) -> dict[str, list[list[str]]]:
         """The main study as in the paper's tables, by algorithm: the paper's, and whatever else has runs."""
-        of_paper = studies.paper_configurations(self.studies.main)
-        others = algorithms((one.algorithm, one.activation) for one in self.configurations)
+        main = self.studies.main
         return {
             algorithm: tables.table(
-                [(key[1], one) for key, one in of_paper.items() if key[0] == algorithm], algorithm
+                [(key[1], one) for key, one in main.items() if key[0] == algorithm], algorithm
             )
-            for algorithm in dict.fromkeys([*paper.TABLE_OF, *others])
+            for algorithm in dict.fromkeys([*paper.TABLE_OF, *algorithms(main)])
         }
 
 

@@ -26,7 +26,7 @@ from uavnav.report import (
     worlds,
 )
 from uavnav.report.claims import PRIMARY
-from uavnav.report.configurations import BINS, MODE, label
+from uavnav.report.configurations import BINS, MODE
 from uavnav.report.content import Content
 from uavnav.report.mine import Mine
 from uavnav.report.templating import HERE, TEMPLATES, Source, files_of, plain, source
@@ -110,10 +110,6 @@ def contents(
             found[f"tables/{stem}.csv"] = frame.to_csv(
                 index=False, float_format="%.6g", lineterminator="\n"
             ).encode()
-        for algorithm, (header, *rows) in content.paper_tables.items():
-            rows = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
-            if rows:  # else only other studies have the algorithm
-                found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *rows]).encode()
         if episodes := first_episodes(content):
             drones = paths(episodes, PREVIEWED)
             firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
@@ -198,14 +194,6 @@ def first_episodes(content: Content) -> dict[str, Any] | None:
 
 
 def markdown(content: Content) -> str:
-    """report.md: the verdicts, the tables in every metric definition, how the runs were made."""
-    # each of these has a table of its own
-    beside = [*content.studies.why.values(), *content.studies.switches.values()]
-    answered = {id(one) for configurations in beside for one in configurations.values()}
-    shown = [one for one in content.configurations if id(one) not in answered]
-    parts = []
-    for name in content.paper_tables:
-        part, usual = label([one for one in shown if one.algorithm == name], [*content.studies.main.values()])
-        parts.append({"name": name, "usual": usual, "table": tables.table(part, name)})
-    text = render("report.md", content, sections=parts, bins=BINS)
+    """report.md: the verdicts and the tables in every metric definition."""
+    text = render("report.md", content, bins=BINS)
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

@@ -603,10 +603,3 @@ def markdown(rows: Rows) -> str:
     ruler = ["---" if words or place < 2 else "---:" for place, words in enumerate(of_words(rows))]
     lines = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in [rows[0], ruler, *rows[1:]])
     return "\n".join(f"| {line} |" for line in lines)
-
-
-def latex(rows: Rows) -> str:
-    """A tabular with booktabs' rules."""
-    table = pd.DataFrame(rows[1:], columns=rows[0])
-    text = table.to_latex(index=False, escape=True, column_format="ll" + "r" * (len(rows[0]) - 2))
-    return text.replace("−", "$-$").replace("–", "--")

@@ -40,7 +40,6 @@ def read(
     try:
         tried = trials.read(folder / TABLE, COLUMNS)
         importance = trials.read(folder / IMPORTANCE, OF_IMPORTANCE)
-        tried = tried.assign(best=so_far(tried))
         algorithms = list(dict.fromkeys(tried["algorithm"]))
         won = {name: row["trial"] for name in algorithms if (row := trials.best(tried, name))}
     except RunError as error:
@@ -62,13 +61,6 @@ def read(
         "tuning_importance": importance,
     }
     return tables, configurations[TUNED], left_out
-
-
-def so_far(trials: pd.DataFrame) -> pd.Series[float]:
-    """The best value of an algorithm's trials until each; a trial that diverged changes nothing."""
-    of_each = trials["algorithm"]
-    best: pd.Series[float] = trials.groupby(of_each)["value"].cummax().groupby(of_each).ffill()
-    return best
 
 
 def _seeds(found: Configurations, algorithm: str) -> list[stats.Array]:

@@ -108,8 +108,8 @@ class Content:
 
     @functools.cached_property
     def baseline_rows(self) -> list[list[str]]:
-        """Scripted policies and people with the study's configurations, as a table."""
-        return tables.baselines(self.baselines, studies.paper_configurations(self.studies.main))
+        """Scripted policies, people and policies from elsewhere, as a table."""
+        return tables.baselines(self.baselines)
 
     @functools.cached_property
     def paper_tables(self) -> dict[str, list[list[str]]]:

@@ -18,7 +18,6 @@ from uavnav.colours import NAMES
 from uavnav.report.claims import COMPARED
 from uavnav.report.configurations import MODE, Configuration, episodes_of, read_as, show
 from uavnav.report.frames import NUMBERS, REACTIVE, means, name
-from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
     BESIDE,
     COUNTS,
@@ -31,7 +30,7 @@ from uavnav.report.verdicts import (
     TOO_SMALL,
 )
 from uavnav.runs import paper, trials
-from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, SAMPLED, decimals, words
+from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, decimals, words
 from uavnav.runs.metrics import METRICS, OWN, finished, per_seed
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
@@ -481,11 +480,10 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequ
     return rows
 
 
-def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
-    """Scripted policies, people and the study's policies on test layouts: all metrics, share truncated."""
+def baselines(found: Mapping[str, pd.DataFrame]) -> Rows:
+    """Scripted policies, people and policies from elsewhere on test layouts: all metrics, share truncated."""
     rows = [["who", "seeds", "episodes", "truncated", *map(str, METRICS.values())]]
-    learned = {name(*key): episodes_of(one, SAMPLED) for key, one in main.items()}
-    for who, part in [*found.items(), *learned.items()]:
+    for who, part in found.items():
         ended = finished(part)
         if ended.empty:
             continue
@@ -495,7 +493,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
             for key, metric in METRICS.items()
         ]
         rows.append([who, *_counts(ended), *shown])
-    return rows if found else rows[:1]
+    return rows
 
 
 def rewards(numbers: Mapping[str, pd.DataFrame]) -> Rows:

@@ -54,8 +54,8 @@ def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_pap
     page = contents(gathered, results)["report.html"].decode()
     assert page.count("1 to 2 seeds of 1,000 frames") == 1  # PPO's relu has one
     text = markdown(gathered)
-    assert found(text, "DQN gelu", PRIMARY) == [["1", "0.0020"]]
-    assert "after 1,000 frames per seed" in text
+    assert found(text, "DQN gelu", PRIMARY) == [["1", "0.0020", "200.0", "2.80"]]
+    assert "Activations beyond the paper's, after 1,000 frames: " in text
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_a_persons_episodes_and_a_policy_from_elsewhere_are_rows_of_all_six_metr
     report([results])
     text = (results / "report.md").read_text()
     for who in ("human", "theirs-sampled"):
-        row, _ = found(text, who)  # the second is that of gaps to the rule
+        *_, row, _ = found(text, who)  # after that of survival, before that of gaps to the rule
         seeds, episodes, cut, steps, *_, speed, reward = row
         assert (seeds, episodes, cut, steps, speed, reward) == ("1", "2", "0.0%", "100.0", "5.00", "−5.00")
         assert f">{who}<" in (results / "report.html").read_text()

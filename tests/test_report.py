@@ -320,7 +320,7 @@ def test_a_run_without_a_finished_episode_is_missing_in_every_definition_but_per
 
 
 def test_tables_of_nothing_still_hold_the_papers_4_rows():
-    assert len(table([], "ppo")) == 1 + 3 * 4
+    assert len(table({}, "ppo")) == 1 + 3 * 4
 
 
 def test_runs_that_leave_out_what_a_metric_counts_are_read_beside_those_that_have_it(results, monkeypatch):

@@ -117,7 +117,7 @@ class Content:
         main = self.studies.main
         return {
             algorithm: tables.table(
-                [(key[1], one) for key, one in main.items() if key[0] == algorithm], algorithm
+                {activation: one for (own, activation), one in main.items() if own == algorithm}, algorithm
             )
             for algorithm in dict.fromkeys([*paper.TABLE_OF, *algorithms(main)])
         }

@@ -417,36 +417,35 @@ def predictions(frame: pd.DataFrame, definition: str) -> Rows:
     return rows
 
 
-def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -> Rows:
+def table(own: Mapping[str, Configuration], algorithm: str) -> Rows:
     """For each activation the paper's row, then each metric definition's means and interquartile means.
 
-    configurations: of one algorithm, with their labels.
+    own: configurations of one algorithm, by activation.
     """
     metrics = [one.words() for one in METRICS.values()]
     rows = [["activation", "definition", "seeds", "episodes", "truncated", *metrics]]
     of_paper = paper.ACTIVATIONS if algorithm in paper.TABLE_OF else ()
     nothing = [NOTHING] * len(METRICS)
-    for activation in dict.fromkeys([*of_paper, *(one.activation for _, one in configurations)]):
-        ours = [(label, one) for label, one in configurations if one.activation == activation]
+    for activation in dict.fromkeys([*of_paper, *own]):
         if activation in of_paper:
             for which, per_frame in (("the paper", False), (f"the paper, {PER_FRAME}", True)):
                 printed = _printed(algorithm, activation, per_frame)
                 rows.append([activation, which, "1", NOTHING, NOTHING, *printed])
-        if not ours:
+        if activation not in own:
             rows.append([activation, "missing: no finished run", "0", NOTHING, NOTHING, *nothing])
-        for label, configuration in ours:
-            for definition in DEFINITIONS:
-                found = means(read_as(configuration, definition).items())
-                if not any(mean.n for mean, _ in found.values()):
-                    rows.append([label, f"{definition}: missing", "0", "0", NOTHING, *nothing])
-                    continue
-                part = _counts(episodes_of(configuration, definition))
-                for place, which in enumerate((definition, f"{definition}, interquartile mean")):
-                    shown = [
-                        with_interval(*found[metric][place][:3], decimals(metric, definition))
-                        for metric in METRICS
-                    ]
-                    rows.append([label, which, *part, *shown])
+            continue
+        for definition in DEFINITIONS:
+            found = means(read_as(own[activation], definition).items())
+            if not any(mean.n for mean, _ in found.values()):
+                rows.append([activation, f"{definition}: missing", "0", "0", NOTHING, *nothing])
+                continue
+            part = _counts(episodes_of(own[activation], definition))
+            for place, which in enumerate((definition, f"{definition}, interquartile mean")):
+                shown = [
+                    with_interval(*found[metric][place][:3], decimals(metric, definition))
+                    for metric in METRICS
+                ]
+                rows.append([activation, which, *part, *shown])
     return rows
 
 
